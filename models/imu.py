@@ -82,7 +82,7 @@ _C_GYRO_PSD, _C_ACCEL_PSD = 5, 6  # (rad/s)^2/Hz, (m/s^2)^2/Hz
 _C_GYRO_WALK_PSD, _C_ACCEL_WALK_PSD = 7, 8
 _C_COAST_GYRO_PSD, _C_COAST_ACCEL_PSD = 9, 10
 _C_GAP_S, _C_TURN_DECAY_S = 11, 12
-_C_SCALE_PSD = 13  # 1/Hz: of what a gyroscope says wrong, over the square of the rate
+_C_SCALE_PSD = 13  # 1/Hz: of the error of a gyroscope, over the square of the rate
 _C_SIZE = 14
 
 _LEAST_RANGE_GYRO, _LEAST_RANGE_ACCEL = 4.3, 18.0  # rad/s, m/s^2: no sensor ends below 250 deg/s, 2 g
@@ -91,7 +91,7 @@ _TURN_S = 1.0  # a turn lasts about as long; the next one is about another axis,
 
 
 def constants(noise: ImuNoise, coast: Coast, origin: Origin | None) -> Array:
-    """Everything the kernels need besides state and samples, packed as C says."""
+    """Everything the kernels need besides state and samples, packed in the order of C."""
     c = np.zeros(_C_SIZE)
     c[_C_GRAVITY] = GRAVITY
     if origin is not None:

@@ -1,6 +1,7 @@
-"""What every test may use: no display, hypothesis profiles, the folder of recorded flights."""
+"""What every test may use: no display, Ctrl-C, hypothesis profiles, the folder of recorded flights."""
 
 import os
+import signal
 from pathlib import Path
 
 os.environ["MPLBACKEND"] = "Agg"  # before anything imports matplotlib
@@ -9,6 +10,10 @@ import pytest
 from hypothesis import settings
 
 ROOT = Path(__file__).parents[1]
+
+# A shell that starts the suite in the background lets it, and each of its children, ignore SIGINT. A person's terminal does not.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # No deadline: a kernel compiles at its first call.
 settings.register_profile("dev", deadline=None)

@@ -265,4 +265,4 @@ def _unsettled(found: Identification, now: int) -> str:
 def _summary(found: Identification, now: int, remembered: int) -> str:
     count = int(found.accepted[:now].sum())
     before = f", {remembered} of earlier images" if remembered else ""
-    return f"{count} of {now} regions identified{before}, position sure to {found.position_posterior:.5f}"
+    return f"{count} of {now} regions identified{before}, position with probability {found.position_posterior:.5f}"

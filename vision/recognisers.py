@@ -2,7 +2,7 @@
 
     landmarks by description   always, where the map has any: pipeline.py
     registration               where they gave nothing, the map holds an image, and the prior limits the search: registration.py
-    features                   where the prior is too wide for that, or registration saw nothing it is sure of: features.py
+    features                   where the prior is too wide for that, or registration found no certain position: features.py
     peak                       where neither succeeded: position by the peak of registration's search, peak.py
 
 All of them end in a LandmarkFix; the image counts as one landmark, named as its file, with the errors of its georeference.

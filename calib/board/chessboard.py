@@ -66,7 +66,7 @@ class Board:
 
     @property
     def ends_alike(self) -> bool:
-        """Whether the board looks the same upside down, so that nobody can tell which end corner 0 is at."""
+        """Whether the board looks the same upside down, so that it is ambiguous at which end corner 0 is."""
         return self.marker_m == 0.0 and (self.columns + self.rows) % 2 == 0
 
     @cached_property

@@ -22,7 +22,7 @@ import numpy as np
 from models.messages import Array
 
 _CHANCE: Final = 2.0  # sigma of f up to which errors count as independent from corner to corner: var f = 2 sum tr M_i^2 / m^2
-_ALONE: Final = 0.999  # of what is known along a direction: a view that knows so much has no other to compare with
+_ALONE: Final = 0.999  # of what is known along a direction: a view that determines so much has no other to compare with
 _BOW_SEEN: Final = 21.1  # chi-square of 3, 1e-4
 
 
@@ -49,7 +49,7 @@ def marginal(H_i: Array, g_i: Array, sigma2: float) -> Spread:
 
 
 def _in_common(M_i: Array, g_i: Array) -> tuple[Array, Array]:
-    """y_i (n, m) and the eigenvalues of M_i (n, m, m), from W^T g_i (n, m); 0 along what one view knows alone."""
+    """y_i (n, m) and the eigenvalues of M_i (n, m, m), from W^T g_i (n, m); 0 along what one view alone determines."""
     part, axes = np.linalg.eigh(M_i)
     part = np.where(part < _ALONE, np.maximum(part, 0.0), 0.0)
     weight = np.where(part > 0.0, 1.0 / np.sqrt(1.0 - part), 0.0)

@@ -20,7 +20,7 @@ _LONGER: Final = "let the IMU lie still for longer: ten minutes for the noise, h
 _HUM: Final = "motors off, and nothing that hums near: the noise is not white"
 _MOVE: Final = "move more: turn briskly about all three axes and shake along all three, a minute, the whole board in view"
 _MODEL: Final = (
-    "innovations are larger than the noise says: is --square-mm right, the board fixed, are [imu] axes and noise this IMU's, "
+    "innovations are larger than the configured noise: is --square-mm right, the board fixed, are [imu] axes and noise right, "
     "do its stamps jump?"
 )
 _FEW: Final = "record for a minute, the whole board in the image, in good light, so that more images count"

@@ -55,7 +55,7 @@ def mono_tables(result: Mono) -> list[Table]:
     facts = [
         ("image", f"{result.camera.width} x {result.camera.height}"), ("lens model", result.lens.value),
         ("residual RMS", f"{result.solution.rms:.3f} px"), ("of views left out", _left_out(result.held_out)),
-        ("largest change of fx fy cx cy, a quarter of the views left out", f"{change} x what sigma says"),
+        ("largest change of fx fy cx cy, a quarter of the views left out", f"{change} x sigma"),
         ("sigma widened, for errors that views have in common, by", f"{np.sqrt(result.solution.widened):.2f}"),
     ]  # fmt: skip
     return [

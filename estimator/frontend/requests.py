@@ -19,7 +19,7 @@ from models.messages import Array, Estimate, ImageName, Mode, Output, VisionRequ
 from models.state import E, X
 
 _SECOND_NS: Final = 1_000_000_000
-_OLDEST_NS: Final = 200_000_000  # an estimate further from the exposure says nothing of it
+_OLDEST_NS: Final = 200_000_000  # an estimate further from the exposure is not used for it
 _KEPT: Final = 2000  # estimates: seconds at IMU rate
 
 
@@ -124,7 +124,7 @@ class Track:
         self._estimates: deque[Estimate] = deque(maxlen=_KEPT)
 
     def note(self, outputs: Iterable[Output]) -> None:
-        """Keep what Fusion said; without a heading nobody knows where to look."""
+        """Keep the estimates of Fusion; without a heading there is no prior."""
         self._estimates.extend(o for o in outputs if isinstance(o, Estimate) and o.mode is not Mode.ALIGNING_HEADING)
 
     @property

@@ -2,7 +2,7 @@
 
 Everything else (links, log, state file) has threads of its own and never makes the loop wait, and what a late fix changes is
 worked out while no message waits. What the loop gives to Fusion is decoded from the very bytes that are logged, stamps translated
-before, so a replay of the log says the same, to the bit.
+before, so a replay of the log gives the same, to the bit.
 """
 
 from collections.abc import Callable, Sequence
@@ -101,7 +101,7 @@ class Daemon:
             self._status.note_defect(f"{type(error).__name__}: {error}")
 
     def take(self, arrival: Arrival) -> None:
-        """One message; behind an IMU sample, when there is most time until the next, also what our own vision says."""
+        """One message; behind an IMU sample, when there is most time until the next, also the answers of our own vision."""
         if isinstance(self._handle(arrival), ImuSample):
             self._take_own()
         if not len(self.mailbox):

@@ -104,7 +104,7 @@ class View:
             table.add_row("on Earth", f"{lat:.6f}°  {lon:.6f}°  {alt:.1f} m")
         table.add_row("estimates", f"{self._rate_hz():.0f} Hz, {health.get('reset_counter', '?')} resets")
         if detail := health.get("detail"):
-            table.add_row("says", Text(detail, style="bold red" if "internal error" in detail else "yellow"))
+            table.add_row("detail", Text(detail, style="bold red" if "internal error" in detail else "yellow"))
         if (defects := health.get("counts internal", "0")) != "0":
             table.add_row("internal errors", Text(defects, style="bold red"))
         return Panel(table, title="landfix", title_align="left", width=_WIDTH)
@@ -136,7 +136,7 @@ class View:
         table.add_row("", d.get("log file", ""))
         dropped = f"{lost} inputs, {d.get('log dropped_images', '0')} images, {d.get('log dropped_outputs', '0')} outputs"
         table.add_row("not logged", Text(dropped, style="" if lost == "0" else "red"))
-        refused = f"{d.get('zenoh oversized', '0')} too large, {d.get('implausible_stamps', '0')} with unbelievable stamps"
+        refused = f"{d.get('zenoh oversized', '0')} too large, {d.get('implausible_stamps', '0')} with implausible stamps"
         table.add_row("refused", refused)
         steps = d.get("clock wall_steps", "0")
         clock = f"wall clock {float(d.get('clock wall_ahead_s', '0')):+.3f} s since the start, {steps} steps"

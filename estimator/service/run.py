@@ -271,7 +271,7 @@ class _NoLog:
 
 
 def _metadata(config: RunConfig, folder: Path, digest: str) -> dict[str, str]:
-    """What the log says of itself; of the map's image, too large to be attached, name and checksum. Raises ConfigError."""
+    """Description of the log; of the map's image, too large to be attached, name and checksum. Raises ConfigError."""
     known = {"version": version(), "config_sha256": digest}
     image = config.map_image(folder)
     if image is None:

@@ -132,7 +132,7 @@ WHOLE = _given((1 << _SIX) - 1)
 
 def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
     """A fix as a measurement of the components it gives."""
-    covariance = np.array(fix.covariance, dtype=float, order="C")  # as compiled code wants it
+    covariance = np.array(fix.covariance, dtype=float, order="C")  # as compiled code requires it
     if covariance.shape != (6, 6):
         return Refusal(Reason.MALFORMED, "covariance is not 6 x 6")
     if _is_forgotten(fix.q_nb_wxyz, covariance):

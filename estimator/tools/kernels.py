@@ -77,7 +77,7 @@ def _follow(pipes: list[Connection], report: Report) -> None:
 
 
 def _compile(pipe: Connection, part: Callable[[], None]) -> None:
-    """A process: it says what it compiles."""
+    """A process: it reports what it compiles."""
     gc.disable()  # a sixth of the time: the compiler makes many objects, and few that refer to each other
     compilation.listen(lambda kernel, _: pipe.send(kernel))
     part()
@@ -105,7 +105,7 @@ def _flight() -> None:
 
 
 def main() -> None:
-    """With a line on stderr that says how far it is."""
+    """With a line on stderr that reports progress."""
     terminal = sys.stderr.isatty()
 
     def report(share: float, now: str) -> None:

@@ -258,7 +258,7 @@ def _health(sheaf: _Sheaf) -> tuple[HealthPoint, ...]:
 
 
 def _waited_for(sheaf: _Sheaf) -> str:
-    """What the last Health that says anything names as missing."""
+    """What the last Health with a detail names as missing."""
     details = [pair.value for _, m in sheaf.messages() for status in m.status for pair in status.values if pair.key == "detail"]
     return next((detail for detail in reversed(details) if detail), "it does not say why")
 

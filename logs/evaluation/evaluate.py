@@ -359,7 +359,7 @@ def _aid_summaries(aids: tuple[AidStatus, ...]) -> tuple[AidSummary, ...]:
 
 
 def _aid_summary(topic: str, kind: str, group: list[AidStatus]) -> AidSummary:
-    """NIS is of the fused: a gated one says that it did not fit, and by how much it did not is no statistic of the filter."""
+    """NIS is of the fused: of a gated one it is no statistic of the filter."""
     fused = [a for a in group if a.reason is Reason.FUSED and a.innovation]
     squares, dof = 0.0, 0
     for size in {len(a.innovation) for a in fused}:

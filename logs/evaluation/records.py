@@ -1,4 +1,4 @@
-"""What an evaluation says: records that become JSON as they are (nan as null)."""
+"""The results of an evaluation: records that become JSON as they are (nan as null)."""
 
 import msgspec
 

@@ -49,7 +49,7 @@ class Run(msgspec.Struct, frozen=True):
     resets: int
 
 
-_TITLES: Final = {  # short, and as a person says it
+_TITLES: Final = {  # short, as in speech
     "run": ("run", "run"),
     "duration_s": ("s", "duration, s"),
     "distance_m": ("m", "distance, m"),

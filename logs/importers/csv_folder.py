@@ -93,7 +93,7 @@ class _Reader:
 
 
 def _checks(folder: Path) -> dict[str, object]:
-    """What checks.json says: t0_unix_ns, origin_lla."""
+    """The content of checks.json: t0_unix_ns, origin_lla."""
     path = folder / "checks.json"
     try:
         checks = json.loads(path.read_text()) if path.is_file() else {}

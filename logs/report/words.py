@@ -25,7 +25,7 @@ class Level(IntEnum):
     """Of one finding, and of the flight: its worst."""
 
     FINE = 0
-    LOOK = 1
+    WARNING = 1
     WRONG = 2
 
     @property
@@ -95,27 +95,27 @@ def _consistency(e: Evaluation) -> list[Finding]:
     if e.consistency is None:
         return []
     covered = e.consistency.radius95_covered
-    level = Level.FINE if covered >= 0.9 else Level.LOOK if covered >= 0.75 else Level.WRONG
+    level = Level.FINE if covered >= 0.9 else Level.WARNING if covered >= 0.75 else Level.WRONG
     what = "error" if e.compared_with == "truth" else "difference from the reference"
     found = [Finding(level, f"the {what} was inside the reported 95 % radius {covered:.0%} of the time")]
     of = e.consistency
     for name, c in (("position", of.position), ("attitude", of.attitude), ("velocity", of.velocity)):
-        found += _too_sure(name, c)
+        found += _overconfident(name, c)
     # The reference may be what is wrong: no verdict rests on it alone
-    return found if e.compared_with == "truth" else [Finding(min(f.level, Level.LOOK), f.text) for f in found]
+    return found if e.compared_with == "truth" else [Finding(min(f.level, Level.WARNING), f.text) for f in found]
 
 
-def _too_sure(name: str, c: Consistency) -> list[Finding]:
+def _overconfident(name: str, c: Consistency) -> list[Finding]:
     """Where the mean squared error is beyond the covariance."""
     if not c.n or np.isnan(c.mean) or c.mean <= max(c.band[1], 1.3):
         return []
     if np.isinf(c.mean):
         return [Finding(Level.WRONG, f"{name} covariances are at times not positive definite: they report no bound there")]
-    level = Level.WRONG if c.mean > max(4.0, 2.0 * c.band[1]) else Level.LOOK
+    level = Level.WRONG if c.mean > max(4.0, 2.0 * c.band[1]) else Level.WARNING
     return [
         Finding(
             level,
-            f"{name} errors are {np.sqrt(c.mean):.2g} times what the covariance says (NEES {c.mean:.2g} per degree of freedom)",
+            f"{name} errors are {np.sqrt(c.mean):.2g} times the reported 1-sigma (NEES {c.mean:.2g} per degree of freedom)",
         )
     ]
 
@@ -124,14 +124,14 @@ def _behaviour(e: Evaluation, gathered: Gathered) -> list[Finding]:
     found = []
     if (coasting := e.modes.get(Mode.COASTING, 0.0)) > 0.0:
         found.append(
-            Finding(Level.LOOK, f"the IMU was silent {coasting:.1%} of the time: the estimate went on at constant velocity")
+            Finding(Level.WARNING, f"the IMU was silent {coasting:.1%} of the time: the estimate went on at constant velocity")
         )
     if gathered.counts.get("internal"):
         found.append(
             Finding(Level.WRONG, f"{gathered.counts['internal']} internal errors: defects of the estimator, please report them")
         )
     if (late := e.latency_s.get("/landfix/odometry")) and late.p99 > _LATE_S:
-        found.append(Finding(Level.LOOK, f"1 % of the estimates arrived later than {1e3 * late.p99:.0f} ms after their stamp"))
+        found.append(Finding(Level.WARNING, f"1 % of the estimates arrived later than {1e3 * late.p99:.0f} ms after their stamp"))
     return found
 
 
@@ -148,7 +148,7 @@ def _jumps(collected: Collected) -> list[Finding]:
     k = max(range(len(jumps)), key=lambda k: (beyond[k], jumps[k][0]))
     (length_m, most), many = jumps[k], "once" if len(jumps) == 1 else f"{len(jumps)} times"
     at = f"{length_m:.1f} m at {(most.t_ns - start_ns) * 1e-9:.1f} s, where the reported 95 % radius was {radius[k]:.1f} m"
-    return [Finding(Level.LOOK if any(beyond) else Level.FINE, f"the position jumped by more than {_JUMP_M:g} m {many}: {at}")]
+    return [Finding(Level.WARNING if any(beyond) else Level.FINE, f"the position jumped by more than {_JUMP_M:g} m {many}: {at}")]
 
 
 def refusals(aid: AidSummary) -> dict[str, int]:
@@ -162,13 +162,13 @@ def _source(aid: AidSummary) -> list[Finding]:
     found = []
     if sum(refused.values()) > _MANY_REFUSED * total:
         reasons = ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in refused.items())
-        found.append(Finding(Level.LOOK, f"{aid.topic}: of {total} {aid.kind} measurements {reasons}"))
+        found.append(Finding(Level.WARNING, f"{aid.topic}: of {total} {aid.kind} measurements {reasons}"))
     if aid.nis is not None and fused >= _FEW and not _NIS_BAND[0] <= aid.nis <= _NIS_BAND[1]:
         small = aid.nis < 1.0
         meaning = "smaller than its noise and the covariance say" if small else "larger than its noise and the covariance say"
         found.append(
             Finding(
-                Level.FINE if small else Level.LOOK,
+                Level.FINE if small else Level.WARNING,
                 f"{aid.topic}: innovations of {aid.kind} are {meaning} (NIS {aid.nis:.2f} per degree of freedom)",
             )
         )
@@ -180,20 +180,20 @@ def _vision(gathered: Gathered) -> list[Finding]:
     if len(reports) < _FEW:
         return []
     fixed = sum(r.outcome == "fixed" for r in reports)
-    level = Level.FINE if fixed else Level.LOOK
+    level = Level.FINE if fixed else Level.WARNING
     return [Finding(level, f"vision computed a fix from {fixed} of {len(reports)} image pairs")]
 
 
 def _log(e: Evaluation, collected: Collected, gathered: Gathered) -> list[Finding]:
     notes = [note for note in e.notes if not note.startswith("no truth") and not note.endswith("has no attitude")]
-    found = [Finding(Level.FINE if note.endswith("are no errors") else Level.LOOK, note) for note in notes]
+    found = [Finding(Level.FINE if note.endswith("are no errors") else Level.WARNING, note) for note in notes]
     if collected.skipped_chunks:
-        found.append(Finding(Level.LOOK, f"{collected.skipped_chunks} damaged places in the log were skipped"))
+        found.append(Finding(Level.WARNING, f"{collected.skipped_chunks} damaged places in the log were skipped"))
     if gathered.unreadable:
         found.append(
-            Finding(Level.LOOK, f"unreadable messages: {', '.join(f'{n} on {t}' for t, n in gathered.unreadable.items())}")
+            Finding(Level.WARNING, f"unreadable messages: {', '.join(f'{n} on {t}' for t, n in gathered.unreadable.items())}")
         )
     for key, value in gathered.daemon.items():
         if key.endswith(("lost_inputs", "internal_errors", "implausible_stamps")) and value not in {"0", ""}:
-            found.append(Finding(Level.LOOK, f"the daemon reports {key.replace('_', ' ')}: {value}"))
+            found.append(Finding(Level.WARNING, f"the daemon reports {key.replace('_', ' ')}: {value}"))
     return found

@@ -1,4 +1,4 @@
-"""The page that answers after a flight: where was I, how sure, why, what went wrong.
+"""The page that answers after a flight: position, uncertainty, reasons, faults.
 
     write(Path("estimate.mcap"), Path("report.html"))
 
@@ -33,7 +33,7 @@ def no_illustrations(_: Collected, __: Gathered) -> Illustrations:
 
 
 class Page(msgspec.Struct, frozen=True):
-    """What was written, and what it says."""
+    """What was written, and its verdict."""
 
     report: str
     size: int

@@ -72,7 +72,7 @@ class Encoded(NamedTuple):
 
 
 def encode(output: Output) -> list[Encoded]:
-    """What the estimator says, on its fixed topics."""
+    """The estimator's outputs, on its fixed topics."""
     if isinstance(output, Estimate):
         values = cdr_fast.odometry_values(output.nav, output.covariance, *output.gyro_b)
         return [Encoded("/landfix/odometry", schemas.ODOMETRY, cdr_fast.odometry(output.t_ns, values))]
@@ -241,7 +241,7 @@ def _imu(sample: ImuSample, mounting: ImuMounting) -> dict[str, Any]:
     not_measured = np.zeros(9)
     not_measured[0] = -1.0
     R_ib = mounting.matrix().T
-    with np.errstate(invalid="ignore"):  # infinity is sent as it came: the estimator says what it thinks of it
+    with np.errstate(invalid="ignore"):  # infinity is sent as it came: the estimator refuses it with the reason
         gyro, accel = vec3(R_ib @ sample.gyro_b), vec3(R_ib @ sample.accel_b)
     return {
         "header": header_of(sample.t_ns, _BODY if mounting.axes == "flu" else _BODY_FRD),

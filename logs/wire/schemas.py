@@ -56,7 +56,7 @@ float64[] landmark_errors
 # The rest, which is the rig's.
 float64[36] covariance_rig
 # The combinations of pose error (x y z rx ry rz, in map) that were measured: rows of six, orthonormal where a radian counts as
-# 50 m; empty: the pose itself was. What they read, from the pose above, m; it then is the optimum of what was believed before and
+# 50 m; empty: the pose itself was. What they read, from the pose above, m; it then is the optimum of the prior and
 # what was seen, and the covariances count for what the rows let through.
 float64[] directions
 float64[] readings
@@ -118,7 +118,7 @@ float64 processing_s
 # Look for landmarks in these images. What vision answers follows from this, the images and the requests before it.
 # header.stamp: exposure; header.frame_id: map (ENU at the map origin).
 std_msgs/Header header
-# Where base_link (FLU) is believed to have been, with the covariance of LandmarkFix.
+# The estimated pose of base_link (FLU) then, with the covariance of LandmarkFix.
 geometry_msgs/PoseWithCovariance pose
 # Topic and stamp of the image of each camera; an empty topic: there is none.
 string left_topic

@@ -26,7 +26,7 @@ from models.state import E
 
 _EARTH_RADIUS = 6_371_000.0  # m, mean
 
-# Compiled code wants plain numbers, not attributes of a class.
+# Compiled code needs plain numbers, not attributes of a class.
 _P, _V, _THETA, _BG, _BA, _SIZE = E.P.start, E.V.start, E.THETA.start, E.BG.start, E.BA.start, E.SIZE
 
 

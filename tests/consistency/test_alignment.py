@@ -65,7 +65,7 @@ def chosen(estimates: list[Estimate]) -> list[Estimate]:
 def test_the_covariance_is_consistent_from_the_first_estimate_on(name: str) -> None:
     # GIVEN sensors as the filter models them, and no estimate before it is aligned
     runs, nees = flown(name)
-    # THEN all but a few align, and once they do the errors of all runs are what the covariance says
+    # THEN all but a few align, and once they do the errors of all runs are those of the covariance
     assert len(nees) >= SEEDS - 1
     low, high = chi2_band(len(nees) * E.SIZE, PROBABILITY)
     for after_s, total in zip(AFTER_S, np.sum(nees, axis=0), strict=True):

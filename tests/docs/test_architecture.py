@@ -33,7 +33,7 @@ def test_a_folder_is_small_flat_and_does_not_repeat_its_name(folder: Path) -> No
 
 
 @pytest.mark.parametrize("folder", SOURCES, ids=_name)
-def test_a_folder_says_what_it_is_for_and_what_it_may_import(folder: Path) -> None:
+def test_a_folder_reports_what_it_is_for_and_what_it_may_import(folder: Path) -> None:
     text = ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8"))) or ""
     assert text
     assert folder.relative_to(ROOT).parts[0] == "benchmarks" or "ay import " in text

@@ -20,7 +20,7 @@ def test_the_badges_are_those_of_this_project() -> None:
     }
 
 
-def test_make_knows_what_the_readme_asks_of_it() -> None:
+def test_make_has_the_targets_of_the_readme() -> None:
     asked = set(re.findall(r"(?:^|`)make ([a-z-]+)", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE))
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
     assert {"demo", "test", "site"} <= asked <= targets

@@ -156,7 +156,7 @@ def test_transitions_show_words(messages: Messages) -> None:
         assert all(isinstance(v, str) and v for v in values)
 
 
-def test_foxglove_knows_every_setting_of_its_panels() -> None:
+def test_foxglove_has_every_setting_of_its_panels() -> None:
     """Against the panels' own description in Foxglove's SDK."""
     layouts = pytest.importorskip("foxglove.layouts", reason="foxglove-sdk is not installed (landfix[live])")
     kinds = {

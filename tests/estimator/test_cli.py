@@ -77,7 +77,7 @@ def test_replay_prints_a_summary_or_json(flight: Path, tmp_path: Path) -> None:
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
 
 
-def test_replay_says_when_the_first_estimate_came_or_what_it_waits_for(flight: Path, tmp_path: Path) -> None:
+def test_replay_reports_when_the_first_estimate_came_or_what_it_waits_for(flight: Path, tmp_path: Path) -> None:
     text = run("replay", flight, "-o", tmp_path / "a.mcap", "-c", flight.with_suffix(".toml")).stdout
     assert re.search(r"first estimate +\d+\.\d s after the log's first message", text)
     blind = tmp_path / "blind.toml"
@@ -201,7 +201,7 @@ def test_evaluate_compares_several_logs_and_goes_on_where_one_is_none(estimate: 
     assert run("evaluate", estimate, "--csv", "--json").exit_code == 2
 
 
-def test_report_writes_a_page_and_says_what_is_on_it(estimate: Path, flight: Path, tmp_path: Path) -> None:
+def test_report_writes_a_page_and_reports_what_is_on_it(estimate: Path, flight: Path, tmp_path: Path) -> None:
     out = tmp_path / "report.html"
     text = run("report", estimate, "-o", out).stdout
     assert text.startswith(f"{estimate}: ")
@@ -214,19 +214,10 @@ def test_report_writes_a_page_and_says_what_is_on_it(estimate: Path, flight: Pat
     assert "no_map.geojson" in fails("report", estimate, "-o", out, "--rig", "no_such_rig.yaml", "--map", "no_map.geojson")
 
 
-# A shell that starts the tests in the background lets them ignore SIGINT; a person's terminal does not.
-LANDFIX = """
-import signal
-signal.signal(signal.SIGINT, signal.default_int_handler)
-from estimator.cli import main
-main()
-"""
-
-
 def _interrupted(flight: Path, out: Path) -> tuple[int, str]:
     """Exit code and stderr of a replay that gets Ctrl-C once it has written something."""
     with subprocess.Popen(
-        [sys.executable, "-c", LANDFIX, "replay", str(flight), "-o", str(out)], stderr=subprocess.PIPE, text=True, cwd=ROOT
+        [sys.executable, "-m", "estimator", "replay", str(flight), "-o", str(out)], stderr=subprocess.PIPE, text=True, cwd=ROOT
     ) as process:
         end = time.monotonic() + 120.0
         while not (out.exists() and out.stat().st_size > 30_000) and process.poll() is None and time.monotonic() < end:
@@ -236,7 +227,7 @@ def _interrupted(flight: Path, out: Path) -> tuple[int, str]:
     return process.returncode, said
 
 
-def test_ctrl_c_keeps_what_is_written_and_says_so_in_one_line(tmp_path: Path) -> None:
+def test_ctrl_c_keeps_what_is_written_and_reports_it_in_one_line(tmp_path: Path) -> None:
     flight = tmp_path / "flight.mcap"
     simulation = simulate(loads("duration_s = 200.0\n[pose_fix]\nrate_hz = 2.0\n"), seed=1)  # seconds of work
     simulated.write(simulation, flight)

@@ -83,7 +83,7 @@ def test_angular_rate_is_the_gyros_less_its_bias() -> None:
         np.testing.assert_allclose(np.add(e.gyro_b, e.nav[X.BG]), samples[e.t_ns].gyro_b, atol=1e-12)
 
 
-def test_health_comes_at_its_rate_and_says_how_good_it_is(hovering: Run) -> None:
+def test_health_comes_at_its_rate_and_reports_how_good_it_is(hovering: Run) -> None:
     gaps = {b.t_ns - a.t_ns for a, b in pairwise(hovering.health)}
     assert gaps == {SECOND // 2}
     last, estimate = hovering.health[-1], hovering.estimates[-1]

@@ -167,7 +167,7 @@ def test_what_comes_twice_is_counted_once() -> None:
         (lambda _, f: ((40.0, -30.0, 20.0), f), "degrees per second"),
     ],
 )
-def test_a_stream_in_wrong_units_is_never_integrated_and_health_says_why(
+def test_a_stream_in_wrong_units_is_never_integrated_and_health_reports_why(
     change: Callable[[Vec3, Vec3], tuple[Vec3, Vec3]], word: str
 ) -> None:
     wrong = [ImuSample(m.t_ns, m.t_ns, *change(m.gyro_b, m.accel_b)) if isinstance(m, ImuSample) else m for m in hover(6.0)]

@@ -294,7 +294,7 @@ def test_a_state_out_of_bounds_is_not_published_and_the_estimator_begins_again()
     assert not run.internal_errors()
 
 
-def test_a_gnss_that_runs_wild_leaves_the_state_finite_bounded_and_uncertain() -> None:
+def test_a_gnss_that_diverges_leaves_the_state_finite_bounded_and_uncertain() -> None:
     """A receiver whose position and velocity wander by tens of metres a second next to a vehicle at rest."""
     rng = np.random.default_rng(3)
     rest = Rest(gnss_hz=5.0).flown(12.0)

@@ -54,7 +54,7 @@ def test_without_a_gap_it_is_nearly_as_if_nothing_had_happened(whole: Run) -> No
     assert (e.mode, e.last_absolute_ns, e.reset_counter) == (other.mode, other.last_absolute_ns, other.reset_counter)
 
 
-def test_the_gap_is_coasted_and_the_covariance_says_so(whole: Run) -> None:
+def test_the_gap_is_coasted_and_the_covariance_reports_it(whole: Run) -> None:
     run = _resumed(whole, 2.0)
     first = run.estimates[0]
     assert first.t_ns == CUT_NS + 2 * SECOND + SECOND // 100

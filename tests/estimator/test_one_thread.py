@@ -24,7 +24,7 @@ def _threads(**given: str) -> int:
     return int(process.stdout)
 
 
-def test_one_thread_unless_somebody_wants_more() -> None:
+def test_one_thread_unless_more_are_configured() -> None:
     assert _threads() == 1
     if len(os.sched_getaffinity(0)) > 1:
         assert _threads(OPENBLAS_NUM_THREADS="2") > 1

@@ -43,7 +43,7 @@ def test_forward_and_backward_solve_with_the_factor_and_its_transpose(m: int) ->
 
 
 @pytest.mark.parametrize("m", [1, 3, 6])
-def test_substitution_solves_in_the_place_of_matrix_and_right_hand_side(m: int) -> None:
+def test_substitution_solves_in_place_of_matrix_and_right_hand_side(m: int) -> None:
     s, b = _definite(m), np.random.default_rng(1).normal(size=m)
     low, x = s.copy(), b.copy()
     assert cholesky.factor(low, low)

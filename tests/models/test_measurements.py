@@ -219,7 +219,7 @@ def test_bend_is_what_the_linear_model_leaves_out(turn_rad: float, axis: int) ->
     np.testing.assert_allclose(b, np.outer(nu, nu), atol=(0.02 + turn_rad**2) * float(nu @ nu))
 
 
-def test_bend_knows_what_is_not_known() -> None:
+def test_bend_covers_what_is_not_known() -> None:
     """Not the error but its uncertainty: attitude unknown to 0.2 rad, 40 m away."""
     x = _identity()
     z = _sees_point(x, np.array([0.0, 0.0, 40.0]))

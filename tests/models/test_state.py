@@ -49,7 +49,7 @@ def test_pack_undoes_unpack_and_the_parts_are_copies() -> None:
     np.testing.assert_array_equal(x, _state(0))
 
 
-def test_parts_stand_where_the_table_says() -> None:
+def test_parts_stand_where_the_table_reports() -> None:
     nav = NavState(np.full(3, 1.0), np.full(3, 2.0), np.array([1.0, 0.0, 0.0, 0.0]), np.full(3, 4.0), np.full(3, 5.0))
     x = nav.pack()
     for part, value in ((X.P, 1.0), (X.V, 2.0), (X.BG, 4.0), (X.BA, 5.0)):

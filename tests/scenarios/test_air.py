@@ -125,7 +125,9 @@ def _late(r: Reading, _: float, late_ns: int) -> Reading:
 
 
 @pytest.mark.parametrize("fault", [_stuck, _biased, _negative, _knots, _late])
-def test_given_an_airspeed_that_goes_wrong_in_flight_then_it_is_not_sure_and_wrong(plane: Simulation, fault: Fault) -> None:
+def test_given_an_airspeed_that_goes_wrong_in_flight_then_it_is_not_overconfident_and_wrong(
+    plane: Simulation, fault: Fault
+) -> None:
     begin_ns = EPOCH_NS + round(0.5 * DARK_S * 1e9)
     before = [m.values[0] for m in plane.messages if isinstance(m, Reading) and m.t_ns < begin_ns]
     messages = [

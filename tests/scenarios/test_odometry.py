@@ -126,7 +126,7 @@ def test_a_scale_that_goes_wrong_in_an_outage_is_held_and_reported(simulation: S
     assert _ratio(run, simulation, LOST_S, END_S) < 5.4
 
 
-def test_a_scene_that_moves_slowly_is_never_sure_and_wrong(simulation: Simulation) -> None:
+def test_a_scene_that_moves_slowly_is_never_overconfident_and_wrong(simulation: Simulation) -> None:
     """Half of the ground drifts: every increment is wrong by 0.2 m/s downwards, and every third one says that it may be."""
     moved = []
     for k, d in enumerate(increments(simulation, 15.0, END_S, sigma=(0.05, 0.0, 1e-3))):

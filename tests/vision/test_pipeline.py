@@ -70,7 +70,7 @@ def assert_not_confidently_wrong(result: Result, truth: View) -> None:
         assert distance < 3.0 or squared < CHI2_9999_OF_3
 
 
-def test_a_pair_gives_the_place() -> None:
+def test_a_pair_gives_the_position() -> None:
     v = view()
     result = pipeline().process(v.left, v.right, 5, v.prior)
     fix = result.fix
@@ -87,7 +87,7 @@ def test_a_pair_gives_the_place() -> None:
     assert np.linalg.eigvalsh(fix.covariance)[0] > 0.0
 
 
-def test_every_region_says_what_became_of_it() -> None:
+def test_every_region_reports_what_became_of_it() -> None:
     v = view()
     result = pipeline().process(v.left, v.right, 0, v.prior)
     states = [r.state for r in result.regions]
@@ -251,7 +251,7 @@ def test_the_next_house_is_not_taken_for_the_right_one(seeds: tuple[int, ...], f
     assert (answer.fix, answer.report.outcome) == (None, "ambiguous")
 
 
-def test_a_place_that_the_image_contradicts_is_no_fix(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_position_that_the_image_contradicts_is_no_fix(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where identified regions say: at the true place there is a fix, 13 m aside, between look-alikes, there is none."""
     v, sigma = view(), np.diag(np.array([0.5, 0.5, 0.5, *np.radians([0.3, 0.3, 0.5])]) ** 2)
     results = []
@@ -265,7 +265,7 @@ def test_a_place_that_the_image_contradicts_is_no_fix(monkeypatch: pytest.Monkey
     assert (results[1].fix, results[1].report.outcome) == (None, "not_found")
 
 
-def test_regions_tell_the_place_and_the_outlines_there_make_the_fix() -> None:
+def test_regions_determine_the_position_and_the_outlines_there_make_the_fix() -> None:
     v = view()
     segmenting = LandmarkPipeline(scene().rig_calibrated, scene().map, PipelineConfig(path="segment"))
     result = segmenting.process(v.left, v.right, 0, v.prior)

@@ -79,7 +79,7 @@ def test_no_image_or_no_prior_is_the_pipelines_word(known: MapImage) -> None:
     assert Recognisers(scene.RIG, NOTHING).process(left, None, 7, prior).report.outcome == "no_landmark_near"
 
 
-def test_a_place_outside_the_image_is_said(known: MapImage) -> None:
+def test_a_position_outside_the_image_is_reported(known: MapImage) -> None:
     _, prior, left, _ = _seen(5)
     far = Prior(prior.p_n + np.array([2000.0, 0.0, 0.0]), prior.q_nb_wxyz, prior.covariance)
     assert Recognisers(scene.RIG, NOTHING, known).process(left, None, 7, far).report.outcome == "outside"
@@ -102,7 +102,7 @@ def _unsure() -> RecogniserConfig:
     )
 
 
-def test_features_come_in_where_registration_is_not_sure(known: MapImage) -> None:
+def test_features_come_in_where_registration_is_uncertain(known: MapImage) -> None:
     p_n, prior, left, _ = _seen(1)
     config = RecogniserConfig(registration=RegistrationConfig(sure=1e-300))
     result = Recognisers(scene.RIG, NOTHING, known, config).process(left, None, 7, prior)
@@ -111,7 +111,7 @@ def test_features_come_in_where_registration_is_not_sure(known: MapImage) -> Non
     assert np.linalg.norm(result.fix.p_n - p_n) < 2.0
 
 
-def test_a_likely_place_waits_for_an_image_that_says_the_same(known: MapImage) -> None:
+def test_a_likely_position_waits_for_an_image_that_agrees(known: MapImage) -> None:
     """Of the same view it is no confirmation, however often it comes."""
     waiting = Recognisers(scene.RIG, NOTHING, known, _unsure())
     results = []
@@ -132,7 +132,7 @@ def test_too_late_out_of_order_or_elsewhere_confirms_nothing(known: MapImage, se
     assert waiting.process(left, None, 20 * SECOND + round(seconds * SECOND), later).report.outcome == "ambiguous"
 
 
-def test_a_prior_that_excludes_the_place_is_accepted(known: MapImage) -> None:
+def test_a_prior_that_excludes_the_position_is_accepted(known: MapImage) -> None:
     """Heading known to 2 degrees and 40 off: features still match, and the pose is rejected."""
     _, prior, left, _ = _seen(2, np.array([70.0, 70.0, 10.0, 0.02, 0.02, 0.03]))
     turned = so3.multiply(so3.from_euler(0.0, 0.0, 0.7), prior.q_nb_wxyz)

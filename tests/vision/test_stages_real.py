@@ -70,7 +70,7 @@ def test_rows_of_recorded_pairs_fit(landfix_data: Path) -> None:
         assert abs(found.residual.vertical_px) < 0.6  # features on the road differ by 0.4 px
 
 
-def test_flat_things_stand_where_their_true_disparity_says(landfix_data: Path) -> None:
+def test_flat_things_stand_where_their_true_disparity_reports(landfix_data: Path) -> None:
     """Boxes, panels and mudguards around the motorcycle: depth from the pair against depth from the true disparity."""
     pair = real_pairs.motorcycle(landfix_data)
     found = survey(pair.left, pair.right, rectification(pair.rig), Settings(search=Search(nearest_m=1.5)))

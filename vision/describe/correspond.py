@@ -3,7 +3,7 @@
     coarse   Sobel edges of a reduced image, normalised correlation coefficient along the epipolar line (eq. 4.64, 4.80),
              only the region's own pixels and a rim, then back from right to left: the two must agree
     fine     the region in cells; each cell's disparity maximises the same coefficient to a fraction of a pixel, by
-             Gauss-Newton on  I_r(u - d, v) = g I_l(u, v) + o,  whose remainder also says how sure it is
+             Gauss-Newton on  I_r(u - d, v) = g I_l(u, v) + o,  whose remainder also says its variance
 
 Both images are rectified and grey, uint8 or uint16.
 """

@@ -26,7 +26,7 @@ from vision.identify.identify import Prior
 from vision.pose.point_pose import PointConfig, Points, fit_points
 from vision.pose.pose import PoseEstimate
 
-_POINT = PointConfig(least=1, freedom=1e3, expected=1.0)  # one point says nothing of its own noise
+_POINT = PointConfig(least=1, freedom=1e3, expected=1.0)  # one point is not used for its own noise
 
 
 class PeakConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -1,7 +1,7 @@
 """A region that is no landmark of the map: an object like those of the map, or anything.
 
 Unmapped objects look like mapped ones, and stand in the same streets. Their density is estimated from the map around: assuming
-it uniform would make every similar object a sure landmark.
+it uniform would make every similar object a certain landmark.
 """
 
 import itertools

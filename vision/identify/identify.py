@@ -200,7 +200,7 @@ def _accept(
 ) -> tuple[NDArray[np.bool_], float, NDArray[np.bool_]]:
     """Regions identified, the probability that all of them are right, and the hypotheses (H,) that say so.
 
-    Each being likely does not make all of them likely: the least sure one goes until together they reach the threshold.
+    Each being likely does not make all of them likely: the least certain one goes until together they reach the threshold.
     """
     accepted = (posterior >= threshold) & (best != NONE)
     while True:

@@ -36,7 +36,7 @@ class EdgePoints:
     """N points of E edges of L landmarks, edge by edge.
 
     points_n, direction_n (N, 3): point, and direction of its edge; mark_of_point (N,); first (E + 1,): points of edge e are
-    first[e] to first[e + 1]; mark, length, chroma: as vote() wants them; depth (L,): m, of the roofs below the camera.
+    first[e] to first[e + 1]; mark, length, chroma: as vote() takes them; depth (L,): m, of the roofs below the camera.
     """
 
     points_n: Array
@@ -61,7 +61,7 @@ class EdgePoints:
         return np.where(count > 0, sums / np.maximum(count, 1), np.nan)
 
     def aimed(self, eye: Eye, pose: Pose, gain: Array, shift_m: Array | None = None) -> Array:
-        """The points (N, 11) as vote() wants them, from a pose; gain (6, 2): how it goes with a shift of the image; shift_m:
+        """The points (N, 11) as vote() takes them, from a pose; gain (6, 2): how it goes with a shift of the image; shift_m:
         as moved().
         """
         points_n = self.points_n if shift_m is None else self.moved(shift_m)

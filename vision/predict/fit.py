@@ -249,7 +249,7 @@ def _off_map(marks: list[Landmark], fit: PoseEstimate) -> Array:
 
 
 def _sigma_m(fit: PoseEstimate) -> float:
-    """How sure prior and images together are of the position: (tr P)^(1/2)."""
+    """How certain prior and images together are of the position: (tr P)^(1/2)."""
     return math.sqrt(float(np.trace(fit.joint_covariance[:3, :3])))
 
 

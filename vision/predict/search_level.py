@@ -56,7 +56,7 @@ class SearchLevel:
         return np.array([c.fx, c.fy, c.cx, c.cy])
 
     def aimed(self, pose: Pose, shift_m: Array | None = None) -> Array:
-        """The points (N, 11) as vote() wants them, from a pose, of landmarks as mapped or off the map by shift_m (L, M)."""
+        """The points (N, 11) as vote() takes them, from a pose, of landmarks as mapped or off the map by shift_m (L, M)."""
         assert self.edge_points is not None
         return self.edge_points.aimed(self._eye, pose, self._motion.gain[:, :2], shift_m)
 

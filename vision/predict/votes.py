@@ -95,7 +95,7 @@ def _pixels_met(aimed: Array, camera: Array, su: Array, sv: Array, rows: int, co
 
 @njit(cache=True)
 def aim(points: Array, direction: Array, p_n: Array, gain: Array, p_nk: Array, R_nk: Array, fx: float, fy: float) -> Array:
-    """Points (N, 3) on edges of direction (N, 3) as vote() wants them (N, 11); camera without distortion at p_nk, axes R_nk.
+    """Points (N, 3) on edges of direction (N, 3) as vote() takes them (N, 11); camera without distortion at p_nk, axes R_nk.
 
     A shift of the image by one pixel moves the pose p_n by a column of gain (6, 2):  dx_c = R^T ([X - p]x dtheta - dp).
     """

@@ -26,9 +26,9 @@ from models.frames import Origin
 from vision.identify.identify import Prior
 from vision.image.rectify import Image
 
-_WIDTH: Final = 800  # px of a photo whose camera is told by its tags: from 100 m a pixel is 0.1 to 0.2 m, as good as maps are
+_WIDTH: Final = 800  # px of a photo whose camera is known by its tags: from 100 m a pixel is 0.1 to 0.2 m, as good as maps are
 _MOST_FRAMES: Final = 60  # of a video
-_APART_NS = 1_000_000_000  # of images, whose time nobody has said
+_APART_NS = 1_000_000_000  # of images, whose time is not given
 _ONE_FLIGHT_S: Final = 60.0  # photos that are farther apart confirm nothing: their priors' errors are not the same
 _OTHER_FLIGHT_NS = 1000 * _APART_NS
 _WIDEST_M = 1e7  # a quarter of the way around the Earth
@@ -79,7 +79,7 @@ def numbers(text: str, count: int, option: str, example: str) -> list[float]:
 
 
 def check(given: Given) -> None:
-    """What can be told to be wrong usage before a file is read. Raises BadParameter."""
+    """What is known to be wrong usage before a file is read. Raises BadParameter."""
     for text in given.prior:
         lat, lon, *_ = numbers(text, 6, "--prior", "47.3977,8.5456,560,0,0,90")
         if not (abs(lat) <= 90.0 and abs(lon) <= 360.0):

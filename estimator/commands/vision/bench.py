@@ -82,11 +82,11 @@ def _print(result: "Recognition") -> None:
     from estimator.bench.recognition import TITLES
 
     looks = (f"{k} pair{'s' * (k > 1)}" for k in range(1, result.pairs + 1))
-    header = ("roofs", "method", *looks, "wrong", "sure: <", "ms", "p99", "m")
+    header = ("roofs", "method", *looks, "wrong", "wrong <", "ms", "p99", "m")
     for experiment in dict.fromkeys(r.experiment for r in result.rows):
         rows = [_cells(r) for r in result.rows if r.experiment == experiment]
         print_table(f"\n{TITLES[experiment]}: {result.samples} samples each", rows, header)
-    note("pairs: recognised with so many at most; sure: < ... of its answers are wrong, 95 % sure; ms: one core, a pair")
+    note("pairs: recognised with so many at most; wrong <: upper 95 % bound of the share of wrong answers; ms: one core, a pair")
     note(f"key points of an image: median {result.key_points_p50:.0f}, least {result.key_points_least}")
 
 

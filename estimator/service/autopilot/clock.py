@@ -1,13 +1,14 @@
 """The autopilot's clock, which counts from its boot: from TIMESYNC within half a round trip, without it from its messages.
 
-A stamp that is off by more than two seconds is wild, and is not used; five of them in a row, none right in between, are a reboot.
+A stamp that is off by more than two seconds is implausible, and is not used. Five of them in a row, none right in between, are
+a reboot.
 """
 
 from typing import Final
 
 from estimator.service.base.clock import SECOND_NS, Offset
 
-_WILD_NS: Final = 2 * SECOND_NS
+_IMPLAUSIBLE_NS: Final = 2 * SECOND_NS
 _REBOOT_COUNT: Final = 5
 _QUICKEST_NS: Final = SECOND_NS // 1000
 _OPEN_QUESTIONS: Final = 16
@@ -19,8 +20,8 @@ class AutopilotClock:
     def __init__(self) -> None:
         self._quick, self._synced = Offset(_QUICKEST_NS), Offset(0)
         self._asked: list[int] = []
-        self._wild_in_a_row = 0
-        self.wild = self.reboots = self.answers = 0
+        self._implausible_in_a_row = 0
+        self.implausible = self.reboots = self.answers = 0
 
     @property
     def offset(self) -> Offset:
@@ -54,14 +55,14 @@ class AutopilotClock:
 
     def _plausible(self, stamp_ns: int, now_ns: int) -> bool:
         expected_ns = self.offset.theirs(now_ns)
-        if expected_ns is None or abs(stamp_ns - expected_ns) <= _WILD_NS:
-            self._wild_in_a_row = 0
+        if expected_ns is None or abs(stamp_ns - expected_ns) <= _IMPLAUSIBLE_NS:
+            self._implausible_in_a_row = 0
             return True
-        self.wild += 1
-        self._wild_in_a_row += 1
-        if self._wild_in_a_row < _REBOOT_COUNT:
+        self.implausible += 1
+        self._implausible_in_a_row += 1
+        if self._implausible_in_a_row < _REBOOT_COUNT:
             return False
         self.reboots += 1
-        self._wild_in_a_row = 0
+        self._implausible_in_a_row = 0
         self._quick, self._synced, self._asked = Offset(_QUICKEST_NS), Offset(0), []
         return True

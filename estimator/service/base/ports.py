@@ -1,4 +1,4 @@
-"""What the daemon's loop knows of the world outside: where messages come from, where outputs go, where both are kept.
+"""The daemon's ports to the outside: where messages come from, where outputs go, where both are kept.
 
 A link (Zenoh, MAVLink, a test) is given an Inbox and is itself an Outbox. All of its own threads may call Inbox.put at any time;
 Outbox.send is called by the loop alone, must not block, and must not raise.
@@ -37,7 +37,7 @@ class Inbox(Protocol):
 
 
 class Outbox(Protocol):
-    """Whoever sends what the estimator says."""
+    """Sends the outputs of the estimator."""
 
     def send(self, outputs: Sequence[Output], encoded: Sequence[Encoded]) -> None:
         """What one input led to: as records (NED, FRD), and as the messages that are due, in CDR."""

@@ -118,7 +118,7 @@ class Status:
 
 
 def _troubles(values: Mapping[str, str]) -> Iterator[str]:
-    """What somebody should look at."""
+    """What needs attention."""
     if "estimator" in values:
         yield values["estimator"]
     if values.get("log state", "recording") not in {"recording", "off"}:

@@ -2,7 +2,7 @@
 
 A killed process has lost what was not yet flushed: less than 0.1 s. When the disk is slow the queue grows; then outputs, which a
 replay makes again, are left out first, images from the oldest on, and inputs only when memory is at stake. When the disk is
-full the flight goes on, the log says so, and begins again in a new file as soon as there is space. Where somebody deletes, moves
+full the flight goes on, the log notes it, and begins again in a new file as soon as there is space. Where somebody deletes, moves
 or replaces the file, a new one begins within a second, and the state counts it.
 """
 

@@ -32,7 +32,7 @@ from models.state import X
 _HEARTBEAT_NS: Final = SECOND_NS
 _TIMESYNC_NS: Final = SECOND_NS // 4
 _GONE_NS: Final = 3 * SECOND_NS  # without a HEARTBEAT
-_WILD_NS: Final = 2 * SECOND_NS  # a stamp further from now than this is of no known clock
+_IMPLAUSIBLE_NS: Final = 2 * SECOND_NS  # a stamp further from now than this is of no known clock
 _ODOMETRIES: Final = frozenset({"ODOMETRY", "VISION_POSITION_DELTA"})
 _TURN_S: Final = 0.02  # the thread looks at the time this often
 _US_NS: Final = 1_000
@@ -83,7 +83,7 @@ class MavlinkLink:
         self._boot, self._ekf3 = AutopilotClock(), Ekf3Origin()
         self._map_origin: tuple[float, float, float] | None = None
         self._quality: int | None = None  # of the last odometry
-        self._told: Alert | None = None  # as the last STATUSTEXT said
+        self._alerted: Alert | None = None  # as the last STATUSTEXT said
         self._unix_ahead_ns: int | None = None  # of our clock, as SYSTEM_TIME says
         self._autopilot = _AUTOPILOTS.get(config.autopilot)
         self._peer: Any = None
@@ -91,7 +91,7 @@ class MavlinkLink:
         self._next_heartbeat_ns = self._next_timesync_ns = 0
         self._sending, self._stopping = threading.Lock(), False
         self.sent_odometry = self.sent_fixes = self.unsent = self.strangers = self.commands_refused = self.defects = 0
-        self.refused = self.out_of_range = self.impossible_dates = self.wild_companions = 0
+        self.refused = self.out_of_range = self.impossible_dates = self.implausible_companions = 0
         self._defect = self._refusal = ""  # the last one
         self._endpoint = opened(address_of(config))
         self._thread: threading.Thread | None = None
@@ -142,7 +142,7 @@ class MavlinkLink:
             "clock_bound_ms": f"{offset.bound_ns * 1e-6:.3f}",
             "timesync_answers": self._boot.answers,
             "reboots": self._boot.reboots,
-            "wild_stamps": self._boot.wild + self.wild_companions,
+            "implausible_stamps": self._boot.implausible + self.implausible_companions,
             **self._inputs.report(),
             **({"ekf_origin": self._ekf3.report(self._map_origin, self._geoid_m)} if self._autopilot == codec.ARDUPILOT else {}),
             "odometry": self.sent_odometry,
@@ -177,8 +177,8 @@ class MavlinkLink:
     def _tell_alert(self) -> None:
         """A change of the state of integrity, as STATUSTEXT."""
         now = self._policy.integrity
-        if now is not None and now.state is not self._told and self._tell(codec.alert(now)):
-            self._told = now.state
+        if now is not None and now.state is not self._alerted and self._tell(codec.alert(now)):
+            self._alerted = now.state
 
     def _announce(self, estimate: Estimate, quality: int, *, knows_frame: bool) -> None:
         """Whether the autopilot may use the odometry, and why not, when that changes, once a second at most."""
@@ -288,11 +288,11 @@ class MavlinkLink:
         """Of another component, whose stamps are on our clock, or else on the autopilot's."""
         stamp_ns = codec.stamp_ns(message)
         for t_ns in (stamp_ns, self._boot.offset.ours(stamp_ns)):
-            if t_ns is not None and abs(t_ns - now_ns) <= _WILD_NS:
+            if t_ns is not None and abs(t_ns - now_ns) <= _IMPLAUSIBLE_NS:
                 for measurement in self._inputs.odometry(message, t_ns):
                     inbox.put(measurement)
                 return
-        self.wild_companions += message.get_type() in _ODOMETRIES
+        self.implausible_companions += message.get_type() in _ODOMETRIES
 
     def _ask_again(self) -> None:
         """The autopilot may be another one, or have begun again."""

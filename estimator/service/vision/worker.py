@@ -259,7 +259,7 @@ class VisionWorker:
         return self._config.timeout_s * self._backoff_s / _FIRST_BACKOFF_S
 
     def _exchange(self, question: Any, patience_s: float) -> Any:
-        """What the process says to that; None where it is dead, or was killed because it took too long, even to listen.
+        """The process's answer; None where it is dead, or was killed because it took too long, even to listen.
 
         The patience begins anew with each kernel that it begins to compile, or is done with, up to a limit for all.
         """

@@ -91,7 +91,7 @@ def session_config(config: ZenohConfig, folder: Path, inputs: Sequence[str], out
 
 
 def client_config(config: ZenohConfig, folder: Path, endpoint: str) -> "zenoh.Config":
-    """Of somebody who only listens to the daemon, as whom the configuration says. Raises ConfigError."""
+    """Of a client that only listens to the daemon, with the configured identity. Raises ConfigError."""
     _check_endpoint("connect", endpoint)
     return _made({"mode": "client", "connect/endpoints": [endpoint], **_CLOSED, **_identity(config.security, folder)})
 
@@ -116,7 +116,7 @@ def _check_keys(inputs: Sequence[str]) -> None:
 
 
 def first_sentence(error: Exception) -> str:
-    """What a ZError says, without the place in Zenoh's own source."""
+    """The text of a ZError, without the place in Zenoh's own source."""
     return str(error).split(" at ", 1)[0].strip()
 
 

@@ -89,7 +89,7 @@ class Px4Link:
         return {
             "clock_ahead_s": "unknown" if ahead_ns is None else f"{ahead_ns * 1e-9:.6f}",
             "reboots": self._boot.reboots,
-            "wild_stamps": self._boot.wild,
+            "implausible_stamps": self._boot.implausible,
             "odometry": self.sent_odometry,
             "fixes": self.sent_fixes,
             "unsent": self.unsent,

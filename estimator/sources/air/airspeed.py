@@ -46,7 +46,9 @@ class AirspeedConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
         float, Meta(ge=0, le=45, description="deg: sideslip of a fixed wing; 0: it is not taken to fly along its nose")
     ] = 0.0
     sideslip_s: Annotated[float, Meta(ge=0.1, le=1e4, description="s: duration of a sideslip")] = 3.0
-    least_m_s: Annotated[float, Meta(ge=0, le=100, description="m/s: below, the tube says nothing, or it does not fly")] = 6.0
+    least_m_s: Annotated[
+        float, Meta(ge=0, le=100, description="m/s: below, the tube measures nothing, or the vehicle does not fly")
+    ] = 6.0
 
     def aid(self, reading: Reading, wind: WindConfig = _USUAL) -> Aid | Refusal:
         """An airspeed [m/s] as a velocity through the air."""

@@ -157,7 +157,7 @@ def _stream(name: str, topic: _Topic) -> list[Check]:
         checks.append(judge(f"{name} content", found, fail=fail, warn=True, advice="see what writes this topic"))
     if topic.assumed:
         found = f"{topic.assumptions} of {topic.count}: {topic.assumed}"
-        checks.append(judge(f"{name} accuracy", found, warn=True, advice="let the driver tell it, or set what fits the receiver"))
+        checks.append(judge(f"{name} accuracy", found, warn=True, advice="let the driver report it, or set what fits the receiver"))
     if not topic.stamps:
         return checks
     t, arrived = np.array(topic.stamps), np.array(topic.arrivals)
@@ -229,7 +229,9 @@ def _turn_rate(name: str, rate: Array) -> Check:
     found = f"{mean:.2f} rad/s on average, up to {fastest:.1f} rad/s" + (
         f", {beyond} samples beyond any gyroscope" if beyond else ""
     )
-    advice = "looks like deg/s: landfix needs rad/s" if wrong else "single wild samples: faults of the IMU or of its driver"
+    advice = (
+        "looks like deg/s: landfix needs rad/s" if wrong else "single implausible samples: faults of the IMU or of its driver"
+    )
     return judge(f"{name} turn rate", found, fail=wrong, warn=beyond > 0, advice=advice)
 
 

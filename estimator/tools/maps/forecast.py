@@ -201,7 +201,7 @@ class _Seen:
         self._place = d[:, [polygon.NORTH, polygon.EAST]]
 
     def from_above(self, p_n: Array, radius95_m: float) -> tuple[NDArray[np.int64], int]:
-        """Rows that can be told from all that they may be taken for, and how many are in view."""
+        """Rows that are distinguishable from all that they may be taken for, and how many are in view."""
         c = self._map.columns
         half = math.tan(math.radians(0.5 * self._camera.view_deg))
         widest = half * float(-p_n[2] - c.base_d.min() + 1000.0)

@@ -29,7 +29,7 @@ from vision.image.rectify import Rectification, rectification
 from vision.learn.mapping import Mapper, MappingConfig, Observation, observe
 from vision.learn.tracks import KeepConfig, learned
 
-_OLDEST_NS = 200_000_000  # a pose further from the exposure says nothing of it
+_OLDEST_NS = 200_000_000  # a pose further from the exposure is not used for it
 _STANDING_S = 2.0  # of the log's beginning, when the vehicle stands on the ground
 _LOWEST_M = 10.0  # above ground: below it little is seen, and what stands on four wheels is large
 _DARK = 0.35  # of the image's median: shadows, which move with the sun
@@ -157,7 +157,7 @@ def _look(
     if pose is None:
         return "no pose"
     if float(np.sqrt(np.linalg.eigvalsh(pose.covariance[:2, :2])[-1])) > how.most_sigma_m:
-        return f"pose less sure than {how.most_sigma_m:g} m"
+        return f"pose sigma above {how.most_sigma_m:g} m"
     if ground_d - pose.p_n[2] < _LOWEST_M:
         return f"lower than {_LOWEST_M:g} m above the ground"
     if pair.left is None or pair.right is None:

@@ -62,7 +62,7 @@ def chosen(sources: Collection[str], named: Iterable[str] = (), gates: bool = Fa
 
 
 def value_of(config: Config, key: Key) -> float:
-    """What the configuration says."""
+    """The value in the configuration."""
     section, _, name = key.name.partition(".")
     return float(getattr(getattr(config, section), name))
 

@@ -32,7 +32,7 @@ from models.frames import Origin
 from models.messages import Array, Estimate, GnssFix, GnssVelocity, Input, LandmarkFix, PoseFix, Reading, vec3
 
 _SETTLE_S: Final = 15.0  # after the first absolute fix nothing is held back
-_NEAR_NS: Final = 200_000_000  # an estimate further away says nothing of that time
+_NEAR_NS: Final = 200_000_000  # an estimate further away is not used for that time
 _FALSE: Final = math.log(0.05)
 _LOG_BOX: Final = np.log(2.0 * np.array([FALSE_POSITION_M] * 3 + [FALSE_ATTITUDE_RAD] * 3))
 _TRUTH: Final = np.diag([0.01**2] * 3 + [np.deg2rad(0.1) ** 2] * 3)  # m^2, rad^2: of a truth without one

@@ -157,7 +157,7 @@ def test_boards_that_cannot_be_are_refused(numbers: tuple[int, int, float, float
         Board(*numbers)
 
 
-def test_the_renderer_puts_corners_where_the_camera_model_says() -> None:
+def test_the_renderer_puts_corners_where_the_camera_model_predicts() -> None:
     """Away from the corner finder: the edge between two squares crosses half grey where the model projects it."""
     flat = CameraModel(200, 100, 100.0, 100.0, 99.5, 49.5)
     board = Board(4, 3, 0.5)

@@ -45,7 +45,7 @@ def test_errors_in_common_widen_the_parameters_that_they_move() -> None:
     assert z[1:].max() < 1.1
 
 
-def test_sigma_is_never_less_than_the_common_factor_says() -> None:
+def test_sigma_is_never_less_than_the_common_factor_reports() -> None:
     H_i, g_i, _ = solved(np.random.default_rng(3), np.full(_UNKNOWNS, 0.5))
     spread = marginal(H_i, g_i, 1.0)
     assert spread.widened > spread.f > 1.2

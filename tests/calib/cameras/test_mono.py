@@ -182,7 +182,7 @@ def test_real_images_are_at_or_below_the_reference(chessboards: Path) -> None:
         assert verdict.of_mono(result).grade is verdict.Grade.GOOD
 
 
-def test_a_camera_that_knows_its_covariance_is_the_same_camera() -> None:
+def test_a_camera_with_its_covariance_is_the_same_camera() -> None:
     known = mono.with_covariance(CAMERA, np.eye(9))
     np.testing.assert_array_equal(parameters(known), parameters(CAMERA))
     assert msgspec.structs.asdict(known)["width"] == 640

@@ -85,7 +85,7 @@ def test_ros_and_back_without_the_pose_on_the_body(tmp_path: Path) -> None:
     assert load_camera(written[0]).fx == rig().left.fx
 
 
-def test_a_rig_without_a_pose_on_the_body_says_that_it_is_not_given(tmp_path: Path) -> None:
+def test_a_rig_without_a_pose_on_the_body_reports_that_it_is_not_given(tmp_path: Path) -> None:
     save_rig(tmp_path / "rig.yaml", rig(), Format.ROS)
     known = load_rig(tmp_path / "rig_left.yaml")
     for name in ("again.yaml", "again.xml"):

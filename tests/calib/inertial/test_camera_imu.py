@@ -53,7 +53,7 @@ def test_rotation_translation_and_time_offset_come_back(runs: list[tuple[Truth, 
         assert abs(e[6]) < 3e-4
 
 
-def test_errors_are_what_sigma_says(runs: list[tuple[Truth, CameraImu]]) -> None:
+def test_errors_are_what_sigma_reports(runs: list[tuple[Truth, CameraImu]]) -> None:
     nees = [e @ np.linalg.solve(found.covariance, e) for true, found in runs for e in [error(true, found)]]
     assert 5.5 < np.sum(nees) < 44.0  # chi-square of 21, 0.05 % beyond each
     for _, found in runs:

@@ -100,7 +100,7 @@ def test_a_hum_is_not_taken_for_noise() -> None:
     assert always.density == pytest.approx(always.adev[-1] * np.sqrt(always.tau_s[-1]))
 
 
-def test_a_short_rest_gives_the_density_and_says_what_it_cannot() -> None:
+def test_a_short_rest_gives_the_density_and_reports_what_it_cannot() -> None:
     t, gyro, accel = at_rest(3.0)
     static = imu.static_noise(t, gyro, accel)
     config = static.config()

@@ -128,7 +128,7 @@ def test_the_next_pair_is_some_way_further_on_and_the_prior_errs_as_before() -> 
     assert np.linalg.eigvalsh(second.prior.covariance - first.prior.covariance)[0] > 0.0
 
 
-def test_silence_is_followed_by_a_second_look_and_says_so() -> None:
+def test_silence_is_followed_by_a_second_search_and_reported() -> None:
     assert recognisers.landfix(sample(), timed=False).pair == 1
     dark = dataclasses.replace(sample(), left=np.zeros_like(sample().left), right=np.zeros_like(sample().right))
     answer = recognisers.landfix(dark, timed=False)
@@ -179,13 +179,13 @@ def test_naming_a_landmark_that_is_gone_is_wrong_and_naming_others_is_not_enough
     assert recognisers.landfix(dataclasses.replace(s, target="nobody"), timed=False).verdict == "silent"
 
 
-def test_the_thesis_method_is_judged_by_the_place_it_says() -> None:
+def test_the_thesis_method_is_judged_by_the_position_it_reports() -> None:
     s = views.draw("accuracy", "painted", 0, 23)
     assert recognisers.thesis(s, timed=False).verdict == "recognised"
     assert recognisers.thesis(dataclasses.replace(s, p_n=s.p_n + np.array([5.0, 0.0, 0.0])), timed=False).verdict == "wrong"
 
 
-def test_sift_and_flann_find_the_place_by_its_ground() -> None:
+def test_sift_and_flann_find_the_position_by_its_ground() -> None:
     s = sample()
     checked = recognisers.sift_points(s.left)
     assert len(checked.points) >= 500
@@ -236,7 +236,7 @@ def test_the_command(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("summits", "verdict"), [(20, "recognised"), (1, "silent")])
-def test_the_place_of_cut_roofs_is_not_the_best_one_of_the_reduced_image(summits: int, verdict: str) -> None:
+def test_the_position_by_cut_roofs_is_not_the_best_one_of_the_reduced_image(summits: int, verdict: str) -> None:
     c = PipelineConfig()
     coarse = msgspec.structs.replace(c.predict.coarse, summits=summits)
     config = msgspec.structs.replace(c, predict=msgspec.structs.replace(c.predict, coarse=coarse))
@@ -266,14 +266,14 @@ def test_a_roof_of_which_a_tower_hides_half_is_named_where_the_rest_leaves_no_do
     assert recognisers.landfix(hidden, strict, timed=False).verdict == "silent"
 
 
-def test_a_place_behind_the_twentieth_summit_is_found() -> None:
+def test_a_position_behind_the_twentieth_summit_is_found() -> None:
     """Pale roofs of which half is in view: the most reduced image shows more edges elsewhere."""
     sample, few = views.draw("partial", "pale", 722, 95), PredictConfig(coarse=CoarseConfig(summits=20, peaks=5))
     assert recognisers.landfix(sample, timed=False).verdict == "recognised"
     assert recognisers.landfix(sample, PipelineConfig(predict=few), timed=False).verdict == "silent"
 
 
-def test_a_place_with_more_votes_that_leads_to_the_same_fit_is_no_other_place(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_position_with_more_votes_that_leads_to_the_same_fit_is_no_other_position(monkeypatch: pytest.MonkeyPatch) -> None:
     sample = views.draw("partial", "pale", 741, 71)
     assert recognisers.landfix(sample, timed=False).verdict == "recognised"
     monkeypatch.setattr(verify, "same_position", lambda *_: False)

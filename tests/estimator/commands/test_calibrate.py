@@ -86,7 +86,7 @@ def test_mono_with_a_mount_writes_a_rig_of_one_camera(folder: Path, tmp_path: Pa
     np.testing.assert_allclose(rig.R_bc @ (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), atol=1e-12)  # the upper edge is forward
 
 
-def test_stereo_writes_a_rig_that_is_where_the_mount_says(folder: Path, tmp_path: Path) -> None:
+def test_stereo_writes_a_rig_that_is_where_the_mount_reports(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "rig.yaml"
     pairs = ("--left", folder / "left_*.png", "--right", folder / "right_*.png")
     facts = json.loads(run("stereo", *pairs, *SIZE, "-o", out, "--mount", "0.1,0.0,0.05,0,-90,0", "--json").stdout)
@@ -114,7 +114,7 @@ def test_convert_and_back(tmp_path: Path) -> None:
     assert "no such file" in fails("convert", tmp_path / "none.yaml", "-o", tmp_path / "x.yaml")
 
 
-def test_bad_images_are_one_line_that_says_what_to_do(folder: Path, tmp_path: Path) -> None:
+def test_bad_images_are_one_line_that_reports_what_to_do(folder: Path, tmp_path: Path) -> None:
     out = ("-o", tmp_path / "x.yaml")
     left = sorted(folder.glob("left_*.png"))
     assert "3 usable views" in fails("mono", *left[:3], *SIZE, *out)

@@ -92,7 +92,7 @@ def test_a_fix_may_be_asked_to_be_good_enough(folder: Path) -> None:
     assert refused.stderr.startswith(f"landfix: no fix good to {0.99 * worst:g} m: with the prior it is good to {worst:.2f} m")
 
 
-def test_without_a_fix_it_says_why_and_fails(folder: Path, tmp_path: Path) -> None:
+def test_without_a_fix_it_reports_why_and_fails(folder: Path, tmp_path: Path) -> None:
     black, out = tmp_path / "black.png", tmp_path / "seen.png"
     cv2.imwrite(str(black), np.zeros((480, 640, 3), np.uint8))
     result = run(black, black, *options(folder), "--json", "-o", out)
@@ -122,7 +122,7 @@ def test_wrong_usage_exits_with_2(folder: Path, given: list[str], said: str) -> 
     assert said in " ".join(result.stderr.replace("│", " ").split())
 
 
-def test_of_a_torn_image_nobody_else_speaks(folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_torn_image_gets_one_reason_only(folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """libpng writes to the process' stderr, where no logger reaches it."""
     (tmp_path / "torn.png").write_bytes((folder / "left.png").read_bytes()[:20_000])
     run(tmp_path / "torn.png", folder / "right.png", *options(folder))
@@ -145,7 +145,7 @@ def test_a_missing_or_bad_file_is_one_line(folder: Path, tmp_path: Path) -> None
         assert "internal error" not in result.stderr
 
 
-def test_a_place_far_from_the_map_says_how_far_and_whether_it_is_exchanged(folder: Path) -> None:
+def test_a_position_far_from_the_map_reports_how_far_and_whether_it_is_exchanged(folder: Path) -> None:
     lat, lon, *rest = (folder / "prior.txt").read_text().split(",")
     north = ",".join((f"{float(lat) + 0.2:.6f}", lon, *rest))
     far = run(folder / "left.png", *options(folder)[:4], "--prior", north)

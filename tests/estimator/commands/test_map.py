@@ -50,7 +50,7 @@ def footprints(path: Path, **properties: Any) -> Path:
     return path
 
 
-def test_build_writes_a_map_and_says_what_it_left_out(tmp_path: Path) -> None:
+def test_build_writes_a_map_and_reports_what_it_left_out(tmp_path: Path) -> None:
     out = tmp_path / "map.geojson"
     source = footprints(tmp_path / "in.geojson", **{"building:levels": "2"})
     result = run("build", source, "-o", out, "--sigma-m", 0.8, "--origin", "47,8,400")
@@ -143,7 +143,7 @@ def test_many_and_odd_maps_are_drawn(tmp_path: Path) -> None:
         assert result.exit_code == 0, result.output
 
 
-def test_check_says_what_is_missing(tmp_path: Path) -> None:
+def test_check_reports_what_is_missing(tmp_path: Path) -> None:
     result = run("check", footprints(tmp_path / "in.geojson"), "--json")
     assert result.exit_code == 0
     found = json.loads(result.stdout)

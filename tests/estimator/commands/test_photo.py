@@ -81,7 +81,7 @@ def test_a_receiver_without_a_fix_gives_no_position(tmp_path: Path) -> None:
     assert read(save(tmp_path / "void.jpg", GREY, void)).lat_lon_deg is None
 
 
-def test_accuracy_is_what_the_camera_says_of_it(tmp_path: Path) -> None:
+def test_accuracy_is_what_the_camera_reports_of_it(tmp_path: Path) -> None:
     rtk = {"RtkFlag": "50", "RtkStdLat": "0.014", "RtkStdLon": "0.012", "RtkStdHgt": "0.025", "AbsoluteAltitude": "+150"}
     tags = tags_of(tmp_path, {f"drone-dji:{name}": value for name, value in rtk.items()})
     assert tags.sigma_m == (0.014, 0.025)

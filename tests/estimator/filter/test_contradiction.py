@@ -39,7 +39,7 @@ def test_nor_do_few_fixes_or_those_too_far_apart() -> None:
     assert not _contradiction([0.0] * 12, every_s=3.0).is_shown
 
 
-def test_a_velocity_reports_no_place() -> None:
+def test_a_velocity_reports_no_position() -> None:
     assert NO_CONTRADICTION.also(0, Velocity(np.zeros(3), QUIET, np.zeros(3))) == NO_CONTRADICTION
 
 
@@ -77,7 +77,7 @@ def _turned(v: Vec3) -> Vec3:
     ],
     ids=["flu taken for frd", "accelerometer upside down", "degrees per second"],
 )
-def test_with_wrong_axes_or_units_nothing_is_published_and_health_says_why(
+def test_with_wrong_axes_or_units_nothing_is_published_and_health_reports_why(
     change: Callable[[Vec3, Vec3], tuple[Vec3, Vec3]], rate_hz: float
 ) -> None:
     simulation = _flight(rate_hz)

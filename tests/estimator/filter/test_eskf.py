@@ -52,7 +52,7 @@ def test_a_precise_pose_takes_the_estimate_to_the_truth() -> None:
     assert np.sqrt(np.diag(eskf.cov)[E.P]).max() < 2e-5
 
 
-def test_the_errors_are_as_large_as_the_covariance_says_before_and_after_an_update() -> None:
+def test_the_errors_are_as_large_as_the_covariance_reports_before_and_after_an_update() -> None:
     """NEES over draws of prior and measurement; every bound two-sided."""
     rng, truth, lever = np.random.default_rng(3), _truth(), np.array([0.5, 0.0, 0.2])
     antenna = truth[X.P] + so3.matrix(truth[X.Q]) @ lever
@@ -107,7 +107,7 @@ def test_an_update_that_ruins_the_state_is_reported(bad: float) -> None:
     assert not eskf.sound
 
 
-def test_innovation_knows_its_likelihood() -> None:
+def test_innovation_has_a_likelihood() -> None:
     eskf = _filter()
     z = Position(_truth()[X.P] + [0.5, -0.3, 0.2], np.eye(3), np.arange(3), np.zeros(3))
     seen = eskf.innovation(z, GYRO)
@@ -145,7 +145,7 @@ def test_consideration_is_the_schmidt_kalman_filter() -> None:
         assert np.linalg.eigvalsh(eskf.cov)[0] > 0.0
 
 
-def test_fixes_with_a_common_error_never_make_the_filter_surer_than_that_error() -> None:
+def test_fixes_with_a_common_error_never_make_the_filter_more_certain_than_that_error() -> None:
     considered, white = _filter(), _filter()
     considered.consider("map", np.eye(6) * 0.3**2, 1e9)
     for _ in range(60):
@@ -207,7 +207,7 @@ def _zero_and_slope(x: Array) -> Array:
     return np.array([[1.0, -x[X.P][2]]])
 
 
-def test_an_unknown_zero_is_set_by_the_first_reading_which_then_says_nothing_about_the_state() -> None:
+def test_an_unknown_zero_is_set_by_the_first_reading_which_then_does_not_measure_the_state() -> None:
     eskf, z = _filter(), Height(240.0, np.array([[0.5]]))
     x, cov = eskf.x.copy(), eskf.cov.copy()
     eskf.consider("baro", np.diag([0.0, 0.04**2]), math.inf, walk=np.array([0.01, 0.0]))

@@ -210,7 +210,7 @@ def _next_sample(messages: list[Input]) -> ImuSample:
     return msgspec.structs.replace(newest, t_ns=newest.t_ns + SECOND, arrived_ns=newest.t_ns + SECOND)
 
 
-def test_a_late_fix_says_how_late_and_how_much_was_processed_again() -> None:
+def test_a_late_fix_reports_how_late_and_how_much_was_processed_again() -> None:
     run = Run(Fusion(FusionConfig()))
     run.feed(hover(5.0))
     fix = pose_fix(EPOCH_NS + 3 * SECOND, late_s=2.0)

@@ -94,7 +94,7 @@ def test_eight_lies_that_agree_are_never_followed_by_a_settled_filter(seed: int)
 
 
 @pytest.mark.parametrize("reset_after_s", [8.0, 20.0])
-def test_a_filter_that_is_wrong_follows_the_fixes_after_believe_after_s_and_not_much_before(reset_after_s: float) -> None:
+def test_a_filter_that_is_wrong_follows_the_fixes_after_reset_after_s_and_not_much_before(reset_after_s: float) -> None:
     config = FusionConfig(imu=NOISE, pose_fix=PoseConfig(reset_after_s=reset_after_s))
     run = _fly(70.0, lambda t: LIE if t < 40.0 else NOWHERE, config=config)
     moved_s = next((e.t_ns - EPOCH_NS) * 1e-9 for e in run.estimates if e.t_ns > EPOCH_NS + 40 * SECOND and _near_truth(e.nav))
@@ -148,7 +148,7 @@ def _overconfidence(run: Run, start_s: float, end_s: float) -> float:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_false_fix_that_is_accepted_after_an_outage_is_not_reported_as_sure(seed: int) -> None:
+def test_a_false_fix_that_is_accepted_after_an_outage_is_not_reported_as_certain(seed: int) -> None:
     """One reading in twenty is false: that is what the first ones after an outage are told with, however well they fit."""
     run = _fly(36.5, lambda t: None if 15.0 <= t < 35.0 else LIE if t >= 35.0 else NOWHERE, seed)
     assert _distance(run, 35.1, 36.5).max() > 5.0  # it is believed
@@ -244,7 +244,7 @@ def test_a_source_that_is_not_trusted_is_judged_and_not_fused() -> None:
     assert len(bank.members) == 1
 
 
-def test_a_fix_that_passes_is_fused_and_one_that_fails_leaves_a_believer() -> None:
+def test_a_fix_that_passes_is_fused_and_one_that_fails_leaves_a_hypothesis_with_it() -> None:
     bank = Hypotheses([_member(_state(0.0, 0.0, 0.0))])
     near, far = aid_of(pose_fix(EPOCH_NS, (0.1, 0.0, 0.0))), aid_of(pose_fix(EPOCH_NS, (9.0, 0.0, 0.0)))
     for aid, fused in ((near, True), (far, False)):
@@ -320,7 +320,7 @@ def test_a_velocity_that_both_foresee_is_true_for_both() -> None:
     assert [member.doubts for member in bank.members] == [{}, {}]
 
 
-def test_who_disbelieves_does_not_gain_on_who_believes_by_what_a_hopeless_one_predicts() -> None:
+def test_a_hypothesis_without_the_fix_does_not_gain_by_what_a_hopeless_one_predicts() -> None:
     """A velocity fits the leading filter poorly and a third one, of next to no weight, well: no evidence for a doubter."""
     lead, doubter, hopeless = (_member(_state(0.0, 0.0, 0.0), weight=w) for w in (0.0, -2.0, -16.0))
     doubter.doubts["/gnss/velocity"] = Doubt(EPOCH_NS - SECOND // 5, deliberate=False)
@@ -337,7 +337,7 @@ def test_who_disbelieves_does_not_gain_on_who_believes_by_what_a_hopeless_one_pr
     assert hopeless.weight > -16.0
 
 
-def test_who_does_not_believe_in_a_reading_that_it_predicts_does_not_say_what_the_next_one_is() -> None:
+def test_a_hypothesis_that_rejects_a_reading_it_predicts_does_not_predict_the_next_one() -> None:
     """The leading filter and another doubt a velocity that a third one foresees; that the second foresees it too is no news."""
     lead, doubter, believer = (_member(_state(0.0, 0.0, 0.0), weight=w) for w in (0.0, -6.0, -14.0))
     doubter.filter.x[X.V], believer.filter.x[X.V] = (11.2, 0.0, 0.0), (10.0, 0.0, 0.0)

@@ -78,7 +78,7 @@ def test_the_answer_does_not_depend_on_what_the_filter_found(simulation: Simulat
     assert e is None or np.abs(e / _sigma(first)).max() < 4.0
 
 
-def test_a_wild_measurement_is_left_out(simulation: Simulation) -> None:
+def test_an_implausible_measurement_is_left_out(simulation: Simulation) -> None:
     stretch, lead, samples = _flown(simulation, lie_at=6)
     found, _ = _run(stretch, lead, samples)
     assert np.abs(local(lead.x, found.x) / _sigma(lead)).max() < 0.5

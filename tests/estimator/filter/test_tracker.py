@@ -97,7 +97,7 @@ def test_equal_measurements_make_equal_trackers() -> None:
     np.testing.assert_array_equal(one.hypotheses.lead.cov, two.hypotheses.lead.cov)
 
 
-def test_the_mode_says_what_the_estimate_rests_on() -> None:
+def test_the_mode_reports_what_the_estimate_rests_on() -> None:
     samples = _samples(30.0)
     fresh, tracker = _tracker(), _aligned(samples)
     assert fresh.mode(samples.newest_ns, EPOCH_NS) is Mode.STARTING

@@ -102,7 +102,7 @@ def test_a_request_names_its_images_and_takes_the_nearest_estimate() -> None:
     assert math.hypot(*request.q_nb_wxyz) == pytest.approx(1.0)
 
 
-def test_where_nobody_knows_the_place_nothing_is_asked() -> None:
+def test_where_nobody_knows_the_position_nothing_is_asked() -> None:
     track = Track()
     assert track.request(Pair(_shot(1010), None), 2 * SECOND) is None
     track.note([_estimate(SECOND)])

@@ -12,14 +12,6 @@ import pytest
 
 from estimator.frontend.workers import pool
 
-# A shell that starts a command in the background lets it ignore SIGINT; a person's terminal does not.
-LANDFIX = """
-import signal, sys
-signal.signal(signal.SIGINT, signal.default_int_handler)
-from estimator.cli import main
-main()
-"""
-
 
 def _members(group: int) -> list[int]:
     """Process ids of a process group, without the dead ones."""
@@ -37,7 +29,7 @@ def _members(group: int) -> list[int]:
 def test_ctrl_c_while_others_begin_to_draw_ends_all_of_them_without_a_traceback(tmp_path: Path) -> None:
     """The new processes are still importing."""
     with subprocess.Popen(
-        [sys.executable, "-c", LANDFIX, "demo", "-o", str(tmp_path)],
+        [sys.executable, "-m", "estimator", "demo", "-o", str(tmp_path)],
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True, text=True,
     ) as demo:  # fmt: skip
         try:

@@ -127,7 +127,7 @@ def test_an_outage_ends_the_use_before_the_error_passes_the_limit() -> None:
     assert "limit 10 m" in run.at(39.0).reason
 
 
-def test_health_says_the_state() -> None:
+def test_health_reports_the_state() -> None:
     run = Run(LIMITS)
     said = [o.integrity for o in run.outputs if isinstance(o, Health)]
     assert said[0] == "do not use: there is no estimate"

@@ -183,7 +183,7 @@ def test_what_cannot_be_used_gets_one_line(tmp_path: Path) -> None:
             load(tiff)
 
 
-def test_a_real_geotiff_lies_where_its_readme_says(landfix_data: Path) -> None:
+def test_a_real_geotiff_lies_where_its_readme_reports(landfix_data: Path) -> None:
     ortho = load(landfix_data / "images/spacenet_atlanta_footprints/sample_geotiff.tif")
     assert ortho.epsg == 32616
     assert ortho.is_grey

@@ -129,7 +129,7 @@ def test_locate_with_an_image(folder: Path, tmp_path: Path) -> None:
     assert "blocks agree" in err
 
 
-def test_locate_says_what_is_missing(folder: Path, tmp_path: Path) -> None:
+def test_locate_reports_what_is_missing(folder: Path, tmp_path: Path) -> None:
     code, _, err = _locate(folder, folder / "left.png")
     assert (code, "--picture" in err) == (2, True)
     code, _, err = _locate(folder, folder / "left.png", "--picture", str(tmp_path / "nowhere.tif"))

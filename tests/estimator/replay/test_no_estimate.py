@@ -45,7 +45,7 @@ def slow_imu(k: int, m: Input) -> bool:
         (lambda _, m: isinstance(m, ImuSample | GnssVelocity), "ulog", "no GNSS position in the log"),
     ],
 )
-def test_the_last_line_says_why_and_what_to_do(
+def test_the_last_line_reports_why_and_what_to_do(
     wanted: Callable[[int, Input], bool], kind: str, words: str, simulation: Simulation, tmp_path: Path
 ) -> None:
     log = of(simulation, tmp_path / "x.mcap", wanted, kind)
@@ -98,7 +98,7 @@ def test_logs_of_other_programs_are_known_by_their_first_bytes(name: str, start:
     assert words in result.stderr
 
 
-def test_an_estimate_that_is_lost_for_want_of_imu_samples_says_so(simulation: Simulation, tmp_path: Path) -> None:
+def test_an_estimate_that_is_lost_for_want_of_imu_samples_reports_it(simulation: Simulation, tmp_path: Path) -> None:
     """GIVEN an IMU at 200 Hz for 3.5 s, and hardly any sample after it, THEN a line says why the estimate ended."""
     start_ns = simulation.messages[0].t_ns
 

@@ -59,7 +59,7 @@ def test_replaying_a_replay_gives_the_same_bytes(estimate: Path, config: Config,
     assert (tmp_path / "again.mcap").read_bytes() == estimate.read_bytes()
 
 
-def test_the_log_says_what_made_it(estimate: Path, config: Config) -> None:
+def test_the_log_reports_what_made_it(estimate: Path, config: Config) -> None:
     with LogReader(estimate) as reader:
         list(reader)
     assert [a.data.decode() for a in reader.attachments if a.name == CONFIG_ATTACHMENT] == [config.toml()]

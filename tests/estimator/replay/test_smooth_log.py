@@ -72,7 +72,7 @@ def test_smoothing_again_gives_the_same_bytes(out: Path, config: Config) -> None
     assert again.read_bytes() == out.read_bytes()
 
 
-def test_the_log_says_what_made_it(out: Path, config: Config) -> None:
+def test_the_log_reports_what_made_it(out: Path, config: Config) -> None:
     with LogReader(out) as reader:
         list(reader)
     assert [a.data.decode() for a in reader.attachments if a.name == CONFIG_ATTACHMENT] == [config.toml()]

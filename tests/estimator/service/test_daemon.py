@@ -72,7 +72,7 @@ def test_estimates_come_back_and_are_right(flown: tuple[Path, str, dict[str, int
     assert (np.abs(errors) / sigma).max() < 5.0
 
 
-def test_the_log_replayed_says_the_same(flown: tuple[Path, str, dict[str, int], int, object]) -> None:
+def test_the_log_replayed_reports_the_same(flown: tuple[Path, str, dict[str, int], int, object]) -> None:
     log, text, *_ = flown
     assert_replay_says_the_same(log, text)
 
@@ -198,7 +198,7 @@ def test_what_a_late_fix_changes_is_worked_out_behind_an_output_before_the_next_
         assert history.tracker is redone
 
 
-def test_what_our_own_vision_says_is_taken_behind_an_imu_sample_or_a_tick(tmp_path: Path) -> None:
+def test_what_our_own_vision_reports_is_taken_behind_an_imu_sample_or_a_tick(tmp_path: Path) -> None:
     rng, t_ns = np.random.default_rng(1), 1_795_000_000 * SECOND
     with assembled(parse(toml(tmp_path, 1, zenoh_keys="enabled = false")), tmp_path) as daemon:
         waiting = []

@@ -147,7 +147,7 @@ def test_who_comes_late_gets_the_landmarks() -> None:
             assert watching.messages(1) == [(LANDMARKS, 7, landmarks.data)]
 
 
-def test_a_type_that_nobody_knows_is_left_out() -> None:
+def test_an_unknown_type_is_left_out() -> None:
     with LiveServer("127.0.0.1", 0) as server:
         server.put(Encoded("/strange", "strange_msgs/msg/Thing", b"\0\1\0\0"), 1)
         server.offer({"/imu": "sensor_msgs/msg/Imu"})

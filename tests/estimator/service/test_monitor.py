@@ -130,7 +130,7 @@ def test_it_watches_a_daemon_and_draws_it(tmp_path: Path) -> None:
     assert msgspec.json.decode(asked.stdout)["daemon"]["log state"] == "recording"
 
 
-def test_without_a_daemon_it_says_so_in_one_line() -> None:
+def test_without_a_daemon_it_reports_it_in_one_line() -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     result = subprocess.run(
         [sys.executable, "-m", "estimator", "monitor", "--connect", endpoint],

@@ -184,7 +184,7 @@ def test_a_defect_on_the_way_costs_one_state(tmp_path: Path, monkeypatch: pytest
         ("state", {"file": "Permission denied"}, "state file: Permission denied"),
     ],
 )
-def test_what_somebody_should_look_at_is_a_warning(name: str, values: dict[str, object], said: str) -> None:
+def test_what_needs_attention_is_a_warning(name: str, values: dict[str, object], said: str) -> None:
     assert _said(Status(T0, {name: lambda: values})) == (0 if said == "running" else 1, said)
 
 

@@ -175,7 +175,7 @@ print(said - began < 0.5, time.monotonic() - began < 3.0)
     assert done.stdout.split() == ["True", "True"]
 
 
-def test_what_cannot_start_says_why_in_one_line_and_leaves_the_other_alone(tmp_path: Path) -> None:
+def test_what_cannot_start_reports_why_in_one_line_and_leaves_the_other_alone(tmp_path: Path) -> None:
     port, other = free_port(), tmp_path / "other"
     other.mkdir()
     text = toml(tmp_path, port)

@@ -77,6 +77,6 @@ def test_what_is_no_pressure_is_refused(pressure_pa: float, reason: Reason) -> N
     assert made.reason is reason
 
 
-def test_equal_readings_have_one_place_and_others_another() -> None:
+def test_equal_readings_have_one_position_and_others_another() -> None:
     assert _aid().order == _aid().order
     assert _aid().order != _aid(95_000.1).order

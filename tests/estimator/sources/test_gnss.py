@@ -162,7 +162,7 @@ def test_an_accuracy_of_zero_of_a_velocity_is_unknown(given: Array | None) -> No
     assert "velocity_sigma_m_s 0.4" in aid.assumed
 
 
-def test_another_reading_of_one_instant_has_another_place() -> None:
+def test_another_reading_of_one_instant_has_another_position() -> None:
     one, two = _aid(position_aid(_fix(), GnssConfig())), _aid(position_aid(_fix(alt_m=510.1), GnssConfig()))
     other_noise = _aid(position_aid(_fix(covariance_n=2.0 * NOISE), GnssConfig()))
     again = _aid(position_aid(_fix(arrived_ns=2 * 10**9), GnssConfig()))

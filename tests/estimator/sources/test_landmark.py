@@ -92,7 +92,7 @@ def test_directions_and_readings_are_part_of_what_distinguishes_two_fixes() -> N
         (orthonormal(np.eye(6)[:2]), False),
     ],
 )
-def test_it_is_absolute_where_the_place_is_known_once_the_attitude_is(rows: Array, absolute: bool) -> None:
+def test_it_is_absolute_where_the_position_is_known_once_the_attitude_is(rows: Array, absolute: bool) -> None:
     assert _aid(_fix(directions=rows)).absolute is absolute
 
 

@@ -37,7 +37,7 @@ def _noise(delta: OdometryDelta, config: OdometryConfig = PLAIN) -> np.ndarray:
     return end.z.noise
 
 
-def test_an_increment_takes_two_places_and_only_its_end_is_reported() -> None:
+def test_an_increment_takes_two_positions_and_only_its_end_is_reported() -> None:
     end = _aid(DELTA)
     begin = end.begin
     assert begin is not None
@@ -135,7 +135,7 @@ def test_keys_of_competing_sources_are_none_of_odometry() -> None:
         assert key not in OdometryConfig.__struct_fields__
 
 
-def test_a_rig_that_says_how_it_errs_takes_the_place_of_the_scale() -> None:
+def test_a_rig_that_reports_how_it_errs_takes_the_place_of_the_scale() -> None:
     moved = np.arange(12.0).reshape(6, 2)
     _, rig = _aid(msgspec.structs.replace(DELTA, systematic=moved)).slow_errors
     np.testing.assert_array_equal(np.asarray(rig.jacobian), moved)

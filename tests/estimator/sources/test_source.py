@@ -26,7 +26,7 @@ def test_time_comes_before_kind_topic_and_content() -> None:
 
 
 @given(st.floats(allow_nan=False), st.floats(allow_nan=False))
-def test_equal_content_has_an_equal_place_and_other_content_another(a: float, b: float) -> None:
+def test_equal_content_has_an_equal_position_and_other_content_another(a: float, b: float) -> None:
     same_bits = np.float64(a).tobytes() == np.float64(b).tobytes()
     assert (order(1, "pose", "/a", a) == order(1, "pose", "/a", b)) is same_bits
 
@@ -152,7 +152,7 @@ def test_without_hold_off_no_drift_stops_it() -> None:
     assert state.phase is Phase.ACTIVE
 
 
-def test_it_knows_when_it_was_last_fused() -> None:
+def test_the_time_of_its_last_fusion_is_kept() -> None:
     state = _active(100.0)
     assert state.fused_ns == 100 * SECOND
     assert _meet(state, 101.0, passed=False).fused_ns == 100 * SECOND

@@ -27,7 +27,7 @@ def evaluations(tmp_path_factory: pytest.TempPathFactory) -> list[Evaluation]:
     return [evaluate(folder / f"{name}.mcap") for name in flights]
 
 
-def test_a_row_says_what_the_evaluation_says(evaluations: list[Evaluation]) -> None:
+def test_a_row_reports_what_the_evaluation_reports(evaluations: list[Evaluation]) -> None:
     consistent, sure, alone = compare_runs(evaluations)
     e = evaluations[0]
     assert e.accuracy is not None

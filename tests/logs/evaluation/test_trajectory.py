@@ -91,7 +91,7 @@ def test_a_pose_alone_is_read_from_the_end_of_its_message() -> None:
         assert (t.t_ns.tolist(), t.p.tolist(), t.q_wxyz.tolist()) == ([1_000_000_005], [[1.0, 2.0, 3.0]], [[0.0, 0.0, 0.0, 1.0]])
 
 
-def test_geodetic_fixes_become_places_on_the_map() -> None:
+def test_geodetic_fixes_become_positions_on_the_map() -> None:
     origin = Origin(47.4, 8.5, 500.0)
     lla = origin.to_geodetic((100.0, 20.0, -30.0))
     covariance = np.diag([1.0, 4.0, 9.0])

@@ -142,7 +142,7 @@ def test_the_radius_holds_95_percent_of_the_errors(log: Path) -> None:
     assert 0.9 < np.mean(error <= frame["radius95_m"]) <= 1.0
 
 
-def test_without_pyarrow_or_pandas_one_line_says_what_to_install(
+def test_without_pyarrow_or_pandas_one_line_reports_what_to_install(
     log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("pandas", "pyarrow", "pyarrow.parquet"):
@@ -167,7 +167,7 @@ def test_what_cannot_be_written_is_refused_in_one_line(log: Path, tmp_path: Path
     assert list(tmp_path.glob("a.*")) == []
 
 
-def test_the_command_says_what_it_wrote(log: Path, tmp_path: Path) -> None:
+def test_the_command_reports_what_it_wrote(log: Path, tmp_path: Path) -> None:
     said = CliRunner().invoke(app, ["export", str(log), "-o", str(tmp_path / "x.txt"), "--format", "tum", "--rate", "1"])
     assert said.exit_code == 0
     assert "101 rows of /landfix/odometry as tum" in said.stdout

@@ -64,7 +64,7 @@ def test_ardupilot_airspeed_is_indicated_and_range_is_that_of_the_sensor_that_lo
 
 
 @pytest.mark.parametrize(("header", "indicated"), [("ias_m_s", True), ("tas_m_s", False)])
-def test_a_csv_column_says_which_airspeed_it_is(tmp_path: Path, header: str, indicated: bool) -> None:
+def test_a_csv_column_reports_which_airspeed_it_is(tmp_path: Path, header: str, indicated: bool) -> None:
     imu = "t_s,gx_rad_s,gy_rad_s,gz_rad_s,ax_m_s2,ay_m_s2,az_m_s2\n"
     (tmp_path / "imu.csv").write_text(imu + "".join(f"{0.02 * k:.2f},0,0,0,0,0,-9.8\n" for k in range(20)))
     (tmp_path / "airspeed.csv").write_text(f"t_s,{header}\n0.1,17.5\n0.2,17.6\n")

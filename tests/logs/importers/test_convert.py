@@ -155,7 +155,7 @@ def test_data_sets_are_known_by_name(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", list(importers.KINDS))
-def test_every_kind_says_in_one_line_that_nothing_is_there(kind: str, tmp_path: Path) -> None:
+def test_every_kind_reports_in_one_line_that_nothing_is_there(kind: str, tmp_path: Path) -> None:
     with pytest.raises(LogError, match="no such file or folder"):
         convert(kind, tmp_path / "gone", tmp_path / "out.mcap")
     assert not (tmp_path / "out.mcap").exists()

@@ -219,7 +219,7 @@ def folder(path: Path, **files: str) -> Path:
     return path
 
 
-def test_imu_alone_is_a_recording_and_says_what_is_missing(tmp_path: Path) -> None:
+def test_imu_alone_is_a_recording_and_reports_what_is_missing(tmp_path: Path) -> None:
     recording = csv_folder.read(folder(tmp_path, imu=IMU))
     assert len(recording) == 50
     assert recording.settings.origin is None
@@ -267,7 +267,7 @@ def test_accuracy_and_status_of_fixes(tmp_path: Path, more: str, cells: str, var
     assert [m.v_n for m in velocities] == ([(2.0, 1.0, -3.0)] if status >= 0 else [])
 
 
-def test_a_fix_arrives_when_the_file_says_so(tmp_path: Path) -> None:
+def test_a_fix_arrives_when_the_file_reports_it(tmp_path: Path) -> None:
     gps = "t_s,arrived_s,lat,lon,alt\n0.05,0.25,47.5,8.5,500\n"
     recording = csv_folder.read(folder(tmp_path, imu=IMU, gps=gps))
     kinds = [type(m) for m in recording]

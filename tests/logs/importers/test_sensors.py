@@ -45,7 +45,7 @@ def test_slow_imus_are_reported() -> None:
     assert note.startswith("x: 2.0 IMU samples a second are too few")
 
 
-def test_places_that_are_not_degrees_are_refused() -> None:
+def test_positions_that_are_not_degrees_are_refused() -> None:
     sensors.check_place(np.array([[-89.0, 179.9, 1e4], [np.nan] * 3, [np.inf, 0.0, 0.0]]), "gps.csv")
     sensors.check_place(np.array([[47.0, 8.0, 0.0], [47.0, 8.0, 0.0], [1e9, 8.0, 0.0]]), "gps.csv")  # one damaged row
     with pytest.raises(LogError, match="1e-7 deg"):

@@ -82,7 +82,7 @@ def test_every_fix(recording: Recording, rows: dict[str, list[Any]]) -> None:
     assert first.t_ns == first.arrived_ns  # not stamped by the vehicle
 
 
-def test_velocity_of_fixes_says_nothing_about_the_vertical(recording: Recording, rows: dict[str, list[Any]]) -> None:
+def test_velocity_of_fixes_reports_nothing_about_the_vertical(recording: Recording, rows: dict[str, list[Any]]) -> None:
     got = [m for m in recording if isinstance(m, GnssVelocity)]
     raw = [r for r in rows["GPS_RAW_INT"] if r.fix_type >= 3 and r.vel != 65535 and r.cog != 65535]
     speed, course = np.array([r.vel * 1e-2 for r in raw]), np.deg2rad([r.cog * 1e-2 for r in raw])

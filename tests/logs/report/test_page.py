@@ -93,7 +93,7 @@ def page(log: Path) -> Page:
 # --- what it says -----------------------------------------------------------------------------------------------------------
 
 
-def test_the_summary_says_what_the_evaluation_says(page: Page, log: Path) -> None:
+def test_the_summary_reports_what_the_evaluation_reports(page: Page, log: Path) -> None:
     e = evaluate(log)
     assert e.accuracy is not None
     assert e.consistency is not None
@@ -125,15 +125,15 @@ def test_a_jump_beyond_the_95_percent_radius_is_a_reason_to_look_closer_and_one_
         assert write(calm, tmp_path / "x.html").verdict == level
 
 
-def test_an_estimate_that_is_too_sure_is_not_to_be_relied_on(tmp_path: Path) -> None:
+def test_an_estimate_that_is_overconfident_is_not_to_be_relied_on(tmp_path: Path) -> None:
     verdict, findings = verdict_of(tmp_path, Flight(error_scale=4.0))
     assert verdict == "do not rely on this estimate"
-    assert any("position errors are" in f and "times what the covariance says" in f for f in findings)
+    assert any("position errors are" in f and "times the reported 1-sigma" in f for f in findings)
     assert any("inside the reported 95 % radius" in f for f in findings[:3])
 
 
 def test_errors_far_beyond_the_covariance_are_wrong_and_somewhat_beyond_it_worth_a_look(tmp_path: Path) -> None:
-    for scale, level in ((4.0, Level.WRONG), (1.6, Level.LOOK), (1.0, None)):
+    for scale, level in ((4.0, Level.WRONG), (1.6, Level.WARNING), (1.0, None)):
         flight_log.write(tmp_path / "x.mcap", Flight(error_scale=scale))
         collected = read(tmp_path / "x.mcap")
         levels = {
@@ -312,7 +312,7 @@ def test_ages_at_arrival_are_counted(page: Page) -> None:
 
 
 @pytest.mark.parametrize(("roll", "pitch", "heading"), [(0.3, -0.2, 1.0), (-1.0, 0.9, -2.5), (3.0, 0.0, 0.0)])
-def test_attitude_is_reported_as_a_pilot_says_it(roll: float, pitch: float, heading: float) -> None:
+def test_attitude_is_reported_as_a_pilot_reports_it(roll: float, pitch: float, heading: float) -> None:
     """GIVEN a body FRD in NED at roll, pitch and heading, THEN its odometry in ENU and FLU has the same numbers."""
     q = so3.from_euler(roll, pitch, heading)
     data = encode_truth(EPOCH_NS, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), q).data
@@ -436,7 +436,7 @@ def test_junk_is_counted_and_reported(log: Path, tmp_path: Path) -> None:
     assert all(f"1 on /landfix/{name}" in finding for name in topics)
 
 
-def test_a_log_without_estimates_and_a_place_that_cannot_be_written_give_one_line(log: Path, tmp_path: Path) -> None:
+def test_a_log_without_estimates_and_a_path_that_cannot_be_written_give_one_line(log: Path, tmp_path: Path) -> None:
     with pytest.raises(LogError, match="landfix replay"):
         write(
             rewritten(log, tmp_path / "x.mcap", without=("/landfix/odometry", "/landfix/health", "/landfix/aid_status")),

@@ -277,7 +277,7 @@ def test_a_damaged_length_costs_at_most_the_chunk_beside_it(tmp_path: Path, opco
 
 
 @pytest.mark.parametrize("opcode", [0, 1, 2, 3, 4, 5, 7, 9, 11, 12, 14, 15, 0x86])
-def test_a_chunk_that_says_it_is_something_else_costs_itself_only(tmp_path: Path, opcode: int) -> None:
+def test_a_chunk_with_a_wrong_header_costs_itself_only(tmp_path: Path, opcode: int) -> None:
     path = tmp_path / "a.mcap"
     written = record(path, 100)
     with path.open("rb") as file:

@@ -56,7 +56,7 @@ def test_transparency_is_left_out() -> None:
         ("8UC1", 0, bytes([8, 9, 77, 77]), [[8, 9]]),
     ],
 )
-def test_channels_bytes_and_padding_are_where_the_message_says(encoding: str, big: int, data: bytes, expected: object) -> None:
+def test_channels_bytes_and_padding_are_where_the_message_reports(encoding: str, big: int, data: bytes, expected: object) -> None:
     got = decode_image(schemas.IMAGE, _image(encoding, 1, 2, len(data), data, big))
     np.testing.assert_array_equal(got, expected)
 

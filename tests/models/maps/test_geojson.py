@@ -245,7 +245,7 @@ def test_the_file_is_geojson_with_the_description_in_it() -> None:
     assert np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]) > 0, "RFC 7946: anticlockwise"
 
 
-def test_places_are_exact_ten_kilometres_away_and_curvature_is_in() -> None:
+def test_positions_are_exact_ten_kilometres_away_and_curvature_is_in() -> None:
     """Ground of equal ellipsoid height lies d^2 / 2 R lower in n: 7.8 m at 10 km; a tangent plane would miss it."""
     the_map = read(feature([ring(0.0, 0.0)], id="here"), feature([_square_at(10_000.0, 0.0)], id="there"))
     there = the_map["there"]
@@ -296,7 +296,7 @@ def test_the_date_line_is_no_edge() -> None:
         (collection(feature(), landfix={"origin": "here"}), "not a GeoJSON map"),
     ],
 )
-def test_what_is_no_map_says_so(data: bytes, message: str) -> None:
+def test_what_is_no_map_reports_it(data: bytes, message: str) -> None:
     with pytest.raises(MapError, match=message):
         LandmarkMap.from_geojson(data)
 

@@ -133,7 +133,7 @@ def test_one_in_another() -> None:
     assert len(LandmarkMap.from_landmarks(ORIGIN, []).nested()) == 0
 
 
-def test_a_map_that_a_program_picked_says_so_in_its_file() -> None:
+def test_a_map_that_a_program_picked_reports_so_in_its_file() -> None:
     pad = Landmark.of("pad", [(0, 0), (0, 4), (4, 4), (4, 0)])
     picked = LandmarkMap.from_landmarks((47.0, 8.0, 400.0), [pad])
     assert b"automatic" not in picked.to_geojson()

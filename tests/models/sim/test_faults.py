@@ -94,7 +94,7 @@ def test_spoof_pull_grows_and_its_velocity_agrees() -> None:
     assert v[0] == v[16] == (1.0, 2.0, 3.0)
 
 
-def test_meacon_says_where_the_repeater_stands_at_rest() -> None:
+def test_meacon_reports_where_the_repeater_stands_at_rest() -> None:
     after = strike(faults.Meacon(place_n_m=(200.0, 100.0, -5.0)))
     places = np.array([place(m) for m in of(GnssFix, after)])
     np.testing.assert_allclose(places.mean(axis=0), (200.0, 100.0, -5.0), atol=4.5 / math.sqrt(20))

@@ -127,7 +127,7 @@ def test_all_examples_are_found() -> None:
     assert {p.stem for p in EXAMPLES} >= {"demo", "rare_fixes", "fixed_wing", "spoof", "imu_dropout", "late_and_shuffled"}
 
 
-def test_file_becomes_the_scenario_it_says() -> None:
+def test_file_becomes_the_scenario_it_describes() -> None:
     scenario = loads("""
         name = "test"
         duration_s = 60

@@ -142,7 +142,7 @@ def test_what_is_not_there_is_not_found() -> None:
         assert "no match" in match.reason
 
 
-def test_a_fence_fits_in_many_places() -> None:
+def test_a_fence_fits_in_many_positions() -> None:
     """Vertical stripes every 24 px: ambiguous, not a guess."""
     stripes = np.tile((60 + 120 * (np.arange(320) // 12 % 2)).astype(np.uint8), (240, 1))
     mask = np.zeros((240, 320), np.uint8)

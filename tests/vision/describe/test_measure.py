@@ -84,7 +84,7 @@ def test_the_rigs_uncertainty_is_in_the_covariance() -> None:
     assert yaw.sigma("distance_m") == pytest.approx(0.5 * 81.0 / 150.0, rel=0.05)
 
 
-def test_a_wrong_rig_is_off_by_what_its_covariance_says() -> None:
+def test_a_wrong_rig_is_off_by_what_its_covariance_reports() -> None:
     """The right camera turned and moved by draws of the covariance: distance errors have unit variance in sigmas."""
     rng = np.random.default_rng(5)
     sigmas = np.array([1e-3, 1e-3, 1e-3, 5e-4, 5e-4, 5e-4])

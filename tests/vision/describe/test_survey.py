@@ -101,7 +101,7 @@ def test_a_pair_that_was_not_taken_together_is_flagged() -> None:
     assert "not taken together" in (seen(VIEW.left, moved).problem or "")
 
 
-def test_another_places_image_gives_nothing_confident() -> None:
+def test_an_image_of_another_area_gives_nothing_confident() -> None:
     other = roofs.view(17, 25.0, rig=RIG)
     found = seen(VIEW.left, other.right)
     assert found.problem is not None or len(found.measured) <= 1

@@ -46,7 +46,7 @@ def test_the_same_answer_whatever_random_numbers_were_drawn_before() -> None:
     assert answers[0] == answers[1]
 
 
-def test_another_ground_is_no_place() -> None:
+def test_another_ground_is_no_position() -> None:
     for seed in range(6):
         _, _, prior, image, _ = _case(seed)
         assert isinstance(
@@ -54,7 +54,7 @@ def test_another_ground_is_no_place() -> None:
         )
 
 
-def test_it_says_why_not() -> None:
+def test_the_reason_for_none_is_reported() -> None:
     _, _, prior, image, known = _case(2)
     blank = recognise(scene.RIG, np.full_like(image, 100), prior, known)
     far = recognise(scene.RIG, image, Prior(prior.p_n + np.array([5000.0, 0.0, 0.0]), prior.q_nb_wxyz, prior.covariance), known)

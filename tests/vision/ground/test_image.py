@@ -10,7 +10,7 @@ from vision.ground.image import GroundImage, Heights, pyramid, sample
 AFFINE = np.array([[0.1, -0.5, 40.0], [0.5, 0.1, -30.0]])
 
 
-def test_pixels_and_places_are_inverse_to_each_other() -> None:
+def test_pixels_and_positions_are_inverse_to_each_other() -> None:
     image = GroundImage("x", np.zeros((60, 80), np.uint8), AFFINE, Heights.level(3.0))
     px = np.array([[0.0, 0.0], [79.0, 59.0], [12.3, 45.6]])
     position = px @ AFFINE[:, :2].T + AFFINE[:, 2]

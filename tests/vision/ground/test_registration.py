@@ -101,7 +101,7 @@ def test_an_error_of_the_georeference_is_common_and_not_more() -> None:
     np.testing.assert_allclose(L @ L.T + b.pose.covariance_rig, b.pose.covariance_common, atol=1e-12)
 
 
-def test_relief_moves_the_camera_by_what_the_raster_says() -> None:
+def test_relief_moves_the_camera_by_what_the_raster_reports() -> None:
     rng = np.random.default_rng(7)
     ground = scene.drawing(7)
     p_n, R_nb, prior = scene.flight(rng, _SIGMA)
@@ -137,7 +137,7 @@ def test_what_is_not_known_of_the_ground_widens_the_covariance() -> None:
         ({"landed": True}, "prior_too_wide"),
     ],
 )
-def test_it_says_why_not(change: dict[str, bool], reason: str) -> None:
+def test_the_reason_for_none_is_reported(change: dict[str, bool], reason: str) -> None:
     rng = np.random.default_rng(3)
     ground = scene.drawing(3)
     p_n, R_nb, prior = scene.flight(rng, _SIGMA)

@@ -27,7 +27,7 @@ def doubted(
 
 
 @pytest.mark.parametrize(("sigma", "doubt"), [(2.0, False), (6.0, False), (7.0, True), (20.0, True)])
-def test_the_next_house_is_out_of_the_question_where_the_prior_says_so(sigma: float, doubt: bool) -> None:
+def test_the_next_house_is_out_of_the_question_where_the_prior_reports_it(sigma: float, doubt: bool) -> None:
     """25 m are 3.72 sigma, of which the odds are 1000, at 6.7 m."""
     assert doubted(sigma) == doubt
 
@@ -45,7 +45,7 @@ def test_only_landmarks_that_look_alike_are_taken_for_each_other() -> None:
     assert doubted(20.0, near=(HERE, house("square", 0.0, 25.0, 11.0, 12.0)))
 
 
-def test_a_circle_painted_in_a_square_is_no_other_place() -> None:
+def test_a_circle_painted_in_a_square_is_no_other_position() -> None:
     assert not doubted(20.0, near=(HERE, house("rim", 0.5, 0.0, 15.0, 10.0)))
 
 

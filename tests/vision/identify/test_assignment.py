@@ -97,7 +97,7 @@ def test_distances_grow_with_the_exponential_of_the_scale() -> None:
     assert found.x[0, 0] == pytest.approx(0.0, abs=0.05)
 
 
-def test_a_landmark_in_view_that_nobody_shows_speaks_against_it() -> None:
+def test_a_landmark_in_view_that_no_image_shows_counts_against_it() -> None:
     """One region, two equal landmarks; if it is the first, a third must be in view, and none is seen."""
     y, A = np.zeros((2, 7)), np.zeros((2, 7, COLUMNS))
     y[:, 4], A[:, 4, 0] = [0.0, 30.0 / 0.1], 1.0 / 0.1

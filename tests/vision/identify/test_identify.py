@@ -128,7 +128,7 @@ def _grown(s: Sighting, factor: float) -> Sighting:
     )
 
 
-def test_a_gone_landmark_replaced_by_an_unmapped_one_does_not_move_the_place() -> None:
+def test_a_gone_landmark_replaced_by_an_unmapped_one_does_not_move_the_position() -> None:
     outcomes = run(msgspec.structs.replace(Conditions("random", 10.0), replaced=1.0), 60, seed=2)
     assert sum(o.wrong_fix for o in outcomes) == 0
 

@@ -132,7 +132,7 @@ def test_two_motions_that_nothing_tells_apart_are_lost() -> None:
     assert "two motions" in step.reason
 
 
-def test_scene_is_what_it_says() -> None:
+def test_scene_is_as_specified() -> None:
     assert np.linalg.norm(P_N[1] - P_N[0]) == pytest.approx(1.42, abs=0.01)
 
 

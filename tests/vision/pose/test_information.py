@@ -162,7 +162,7 @@ def test_one_corner_shows_at_least_four_combinations_and_seldom_all_well() -> No
 @pytest.mark.parametrize(
     ("kind", "low", "high"), [("corner", 0.6, 1.7), ("strip", 0.2, 1.4), ("square", 0.5, 1.5), ("round", 0.03, 1.2)]
 )
-def test_what_was_measured_is_as_far_off_as_it_says(kind: str, low: float, high: float) -> None:
+def test_what_was_measured_is_as_far_off_as_reported(kind: str, low: float, high: float) -> None:
     """Mean squared Mahalanobis distance of D (x_true (-) x_fix) - y, per direction."""
     ratios = []
     for seed in SEEDS:

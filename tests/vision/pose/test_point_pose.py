@@ -87,12 +87,12 @@ def _fit(shared: tuple[float, float, float], seed: int = 0, wild: int = 0) -> tu
     return found, prior
 
 
-def test_the_measurement_is_as_far_off_as_it_says() -> None:
+def test_the_measurement_is_as_far_off_as_reported() -> None:
     squared = [scene.chi_square(_fit((0.0, 0.0, 0.0), seed)[0].estimate, P_N, so3.matrix(Q)) for seed in range(40)]
     assert 0.7 < np.mean(squared) / 6.0 < 1.3
 
 
-def test_wild_points_are_left_out() -> None:
+def test_implausible_points_are_left_out() -> None:
     found, _ = _fit((0.0, 0.0, 0.0), wild=12)
     assert not found.used[:12].any()
     assert found.used[12:].mean() > 0.9

@@ -141,7 +141,7 @@ def with_changes(prior: Prior, **changes: Array) -> Prior:
     return Prior(values["p_n"], values["q_nb_wxyz"], values["covariance"])
 
 
-def test_one_camera_is_enough_and_says_less(view: Flight) -> None:
+def test_one_camera_is_enough_and_measures_less(view: Flight) -> None:
     both = estimate(view)
     for images in ((view.images[0], None), (None, view.images[1])):
         one = estimate(view, images)
@@ -196,7 +196,7 @@ def test_one_landmark_off_the_map_moves_the_fix_less_than_its_error() -> None:
     assert found.shift_m[0, 0] == pytest.approx(-0.5, abs=0.15)
 
 
-def test_ground_that_slopes_does_not_bias_the_place() -> None:
+def test_ground_that_slopes_does_not_bias_the_position() -> None:
     """A mark on ground of 3 degrees, known to be level to that: the attitude is the prior's, the place as sure as that."""
     level, slope = flight(1, marks=1, tilt=0.0), so3.matrix(so3.quat_exp(np.radians([3.0, 0.0, 0.0])))
     marks, images = _painted(level)

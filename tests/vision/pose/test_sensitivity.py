@@ -91,7 +91,7 @@ def test_normals_of_roofs_point_outwards_and_gaps_are_walls() -> None:
     assert (gaps[edges.partner < 0] == 0.0).all()
 
 
-def test_points_and_their_places_belong_to_what_is_in_view_of_an_edge() -> None:
+def test_points_and_their_positions_belong_to_what_is_in_view_of_an_edge() -> None:
     """A roof ten images long that only two parallel edges of are in view, and one that is wholly in view next to it."""
     eye = eyes(RIG)[0]
     long = Landmark.of("long", [(-300.0, -6.0), (-300.0, 6.0), (310.0, 6.0), (310.0, -6.0)], 0.0, 0.0)

@@ -173,7 +173,7 @@ def test_at_the_border_and_on_plain_ground_there_is_none() -> None:
     assert np.isnan(shift_of(np.full((100, 100, 3), 90, np.uint8), corners, 8)).all()
 
 
-def test_a_pose_of_spots_is_as_sure_as_it_says() -> None:
+def test_a_pose_of_small_landmarks_is_as_accurate_as_reported() -> None:
     """Eight boulders and a prior of 0.3 m: mean squared Mahalanobis distance inside 99 %, on both sides."""
     sigma = np.array([0.3, 0.3, 0.3, *np.radians((0.3, 0.3, 0.5)).tolist()])
     distance, gain = list[float](), list[Array]()
@@ -211,7 +211,7 @@ def test_small_ones_are_looked_for_where_the_large_ones_put_them(seed: int, leas
     assert 0.5 < ratio < 2.0  # the information of the house counts once
 
 
-def test_a_stone_beside_the_place_is_missed_though_its_edges_cross_the_rim() -> None:
+def test_a_stone_beside_the_position_is_missed_though_its_edges_cross_the_rim() -> None:
     """Where the map has each boulder, and half a metre next to: 7 px, less than it is wide."""
     view = boulders(3, np.full(6, 1e-3), map_sigma_m=1e-3)
     fit = estimate_pose(view.rig, view.images, view.landmarks, (view.p_n, view.R_nb), view.prior)

@@ -118,7 +118,7 @@ def test_what_a_narrow_prior_leaves_open_is_sought_in_a_less_reduced_image(monke
 
 
 @pytest.mark.parametrize(("off_px", "looks"), [(0.0, 1), (2.5, 2)])
-def test_a_place_that_a_look_hardly_moves_is_not_looked_at_again(
+def test_a_position_that_a_fit_hardly_moves_is_not_fitted_again(
     off_px: float, looks: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     view, voted, vote_of = seen(), list[int](), SearchLevel.vote
@@ -187,7 +187,7 @@ def test_voters_move_with_what_the_landmarks_are_off_the_map() -> None:
     np.testing.assert_allclose(across.min(axis=1)[level], 0.0, atol=1e-9)
 
 
-def test_a_place_pays_for_what_the_prior_says_against_it() -> None:
+def test_a_position_pays_for_what_in_the_prior_contradicts_it() -> None:
     """score = sum (support - tau length) - dx^T P^-1 dx / 2: seen from a worse prior the same place is worth less by that."""
     view, positions = seen(), []
     for error in (np.zeros(6), np.array([5.0, -4.0, 0.0, 0.0, 0.0, 0.0])):
@@ -200,7 +200,7 @@ def test_a_place_pays_for_what_the_prior_says_against_it() -> None:
     assert positions[1][0] == pytest.approx(positions[0][0], rel=0.1)
 
 
-def test_empty_ground_gives_no_place_worth_a_fit() -> None:
+def test_empty_ground_gives_no_position_worth_a_fit() -> None:
     """The best place of outlines that are not there has less than half of the support per length of the true one."""
     view, rng = seen(), np.random.default_rng(9)
     empty = World((), (), (), Ground.procedural(rng), Sun(1.0))
@@ -223,7 +223,7 @@ def test_the_gain_is_the_likeliest_error_that_moves_the_outlines_so() -> None:
     assert dx @ (dx / SIGMA**2) < other @ (other / SIGMA**2)
 
 
-def test_points_move_in_the_image_as_their_derivative_says() -> None:
+def test_points_move_in_the_image_as_their_derivative_reports() -> None:
     pinhole, view = straight(EYE), seen()
     points = np.column_stack((view.marks[0].outline_n, np.full(4, -3.0)))
 

@@ -20,7 +20,7 @@ def fitted() -> PoseEstimate:
     return fit
 
 
-def test_roofs_that_were_fitted_lie_where_the_fit_says_in_both_images() -> None:
+def test_roofs_that_were_fitted_lie_where_the_fit_reports_in_both_images() -> None:
     view = whole()
     seen = final_check(RIG, (view.left, view.right), MARKS, fitted(), ObservationConfig())
     assert seen.share.min() > 0.7
@@ -30,7 +30,7 @@ def test_roofs_that_were_fitted_lie_where_the_fit_says_in_both_images() -> None:
     assert abs(seen.apart[1]) < 0.3
 
 
-def test_a_landmark_some_pixels_aside_is_not_where_the_fit_says() -> None:
+def test_a_landmark_some_pixels_aside_is_not_where_the_fit_reports() -> None:
     """0.35 m are 5 px: beyond 2.5 px, within the look's 8 px."""
     view, fit = whole(), fitted()
     moved = Landmark.of("0", MARKS[0].outline_n + np.array([0.25, 0.25]), 0.0, 3.0)
@@ -39,7 +39,7 @@ def test_a_landmark_some_pixels_aside_is_not_where_the_fit_says() -> None:
     assert seen.share[1:].min() > 0.7
 
 
-def test_walls_that_do_not_end_where_the_map_says_speak_against_a_landmark() -> None:
+def test_walls_that_do_not_end_where_the_map_reports_speak_against_a_landmark() -> None:
     """The same roof on walls 3 m longer, as that of another house: the roof lies on edges, its feet and corners do not."""
     view, fit = whole(), fitted()
     for k in (1, 2):  # the first one is seen from above

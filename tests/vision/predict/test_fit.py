@@ -43,14 +43,14 @@ def fitted(view: View, marks: tuple[Landmark, ...], east_m: float = 0.0) -> Fitt
     return fit
 
 
-def test_one_pose_from_two_places_is_one() -> None:
+def test_one_pose_from_two_positions_is_one() -> None:
     """Where landmarks are off the map by what the search thought of them does not tell two poses apart."""
     tried = [fitted(whole(), MARKS, east_m) for east_m in (0.0, 0.15)]
     assert isinstance(decided(tried, VerifyConfig(moved_px=2.0)), Fitted)
 
 
 @pytest.mark.parametrize(("apart_m", "odds", "accepted"), [(0.0, 1.0, True), (5.0, 1.0, False), (5.0, -2.0, True)])
-def test_of_two_places_one_must_be_much_likelier(apart_m: float, odds: float, accepted: bool) -> None:
+def test_of_two_positions_one_must_be_much_likelier(apart_m: float, odds: float, accepted: bool) -> None:
     best = replace(fitted(whole(), MARKS), odds=2.0)
     outcome = decided([elsewhere(best, apart_m, odds), best], VerifyConfig())
     assert outcome is best if accepted else "another position, 106 px off" in str(outcome)
@@ -59,14 +59,16 @@ def test_of_two_places_one_must_be_much_likelier(apart_m: float, odds: float, ac
 @pytest.mark.parametrize(
     ("likelier", "odds", "accepted"), [(39.3, 36.3, False), (39.3, 32.0, True), (8.0, 4.9, True), (8.0, 5.1, False)]
 )
-def test_one_landmark_does_not_decide_between_places_that_would_be_accepted(likelier: float, odds: float, accepted: bool) -> None:
+def test_one_landmark_does_not_decide_between_positions_that_would_be_accepted(
+    likelier: float, odds: float, accepted: bool
+) -> None:
     """In a row of equal houses the place one house on has one more of them in view, or one less, and all of them stand."""
     best = replace(fitted(whole(), MARKS), odds=likelier)
     assert (decided([elsewhere(best, 11.0, odds), best], VerifyConfig()) is best) is accepted
 
 
 @pytest.mark.parametrize(("apart_m", "kept"), [(0.01, 0.6), (0.5, 0.9)])
-def test_one_fit_from_two_places_has_kept_what_the_least_has(apart_m: float, kept: float) -> None:
+def test_one_fit_from_two_positions_has_kept_what_the_least_has(apart_m: float, kept: float) -> None:
     best = replace(fitted(whole(), MARKS), odds=4.5, kept=0.9)
     outcome = decided([replace(elsewhere(best, apart_m, 4.2), kept=0.6), best], VerifyConfig())
     assert isinstance(outcome, Fitted)
@@ -80,7 +82,7 @@ def elsewhere(fit: Fitted, apart_m: float, odds: float) -> Fitted:
 
 
 @pytest.mark.parametrize(("sigma_m", "accepted"), [(1.5, True), (0.3, False)])
-def test_two_fits_that_leave_open_what_is_between_them_are_one_place(sigma_m: float, accepted: bool) -> None:
+def test_two_fits_that_leave_open_what_is_between_them_are_one_position(sigma_m: float, accepted: bool) -> None:
     """4 m, 85 px apart: less than 4.1 of (2 x 1.5^2)^(1/2) m, more than that of 0.3 m."""
     best = replace(fitted(whole(), MARKS), odds=2.0)
     best = replace(best, pose=replace(best.pose, joint_covariance=np.diag([sigma_m**2] * 3 + [1e-4] * 3)))
@@ -88,7 +90,7 @@ def test_two_fits_that_leave_open_what_is_between_them_are_one_place(sigma_m: fl
 
 
 @pytest.mark.parametrize(("odds", "apart_m", "accepted"), [(5.1, 0.1, True), (4.4, 0.1, False), (5.1, 5.0, False)])
-def test_of_fits_of_one_place_the_one_that_knows_it_best_is_taken(odds: float, apart_m: float, accepted: bool) -> None:
+def test_of_fits_of_one_position_the_most_certain_one_is_taken(odds: float, apart_m: float, accepted: bool) -> None:
     """Less likely by 2.3 at most, and not elsewhere: a landmark more adds information on the pose, and is as right."""
     sure = replace(fitted(whole(), MARKS), odds=odds)
     vague = replace(elsewhere(sure, apart_m, 7.0), pose=replace(sure.pose, joint_covariance=4.0 * sure.pose.joint_covariance))
@@ -98,7 +100,7 @@ def test_of_fits_of_one_place_the_one_that_knows_it_best_is_taken(odds: float, a
     assert isinstance(outcome, Fitted) is (apart_m < 1.0)
 
 
-def test_odds_of_a_place_by_hand() -> None:
+def test_odds_of_a_position_by_hand() -> None:
     """One landmark that stands, 20 to 1, one without evidence, one that is gone for sure; two sigma off; 60 % found."""
     there = np.log(0.9 * 20.0 + 0.1) + 0.0 + np.log(0.1)
     shown = 0.6 * np.log(0.75 / 0.45) + 0.4 * np.log(0.25 / 0.55)
@@ -249,7 +251,7 @@ def test_the_second_round_begins_where_all_that_was_found_puts_the_pose() -> Non
     ("share", "present", "used"),
     [(0.6, 2.5, True), (0.6, 2.3, False), (0.4, 4.8, True), (0.4, 4.6, False), (0.0, 7.1, True), (0.0, 6.9, False)],
 )
-def test_the_less_the_last_look_finds_the_surer_a_landmark_must_stand(share: float, present: float, used: bool) -> None:
+def test_the_less_the_final_check_finds_the_more_certain_a_landmark_must_be(share: float, present: float, used: bool) -> None:
     """99, 99.9 and 99.99 %, with one of ten gone: 4.6, 6.9 and 9.2 less ln 9."""
     fit = fitted(whole(), MARKS).pose
     seen = FinalCheck(np.full(len(MARKS), share), np.full(len(MARKS), present), (1.0, 1.0), 0.0, None)
@@ -272,7 +274,7 @@ def moved(fit: Fitted, metres: float, turn_rad: float = 0.0) -> Fitted:
     return replace(fit, pose=replace(fit.pose, joint_p_n=p_n + np.array([metres, 0.0, 0.0]), joint_R_nb=R_nb))
 
 
-def test_a_second_look_at_an_image_still_knows_the_image_before() -> None:
+def test_an_image_that_is_processed_again_is_compared_with_the_image_before() -> None:
     """Where prediction finds nothing and segmentation then does; the image after one that showed nothing does not."""
     fit, prior, memory = fitted(whole(), MARKS), drawn(whole(), 1), Waiting(VerifyConfig())
     assert memory.doubt(fit, 1, prior, ROOFS, weak=True)
@@ -312,7 +314,7 @@ def test_what_is_sure_by_itself_needs_no_other_viewpoint() -> None:
     assert not after_a_doubt.doubt(fit, 2, prior, ROOFS, weak=False)
 
 
-def test_a_much_likelier_place_does_not_wait_for_one_that_does() -> None:
+def test_a_much_likelier_position_does_not_wait_for_one_that_does() -> None:
     """Ten times, ln 10 = 2.3: as where two places in one image are compared."""
     fit, prior, memory = fitted(whole(), MARKS), drawn(whole(), 1), Waiting(VerifyConfig())
     memory.doubt(replace(fit, odds=4.0), 1, prior, ROOFS, weak=True)
@@ -320,7 +322,7 @@ def test_a_much_likelier_place_does_not_wait_for_one_that_does() -> None:
     assert not memory.holds(2, 6.4)
 
 
-def test_a_fix_speaks_for_a_weak_place_that_agrees_and_makes_none_wait() -> None:
+def test_a_fix_supports_a_weak_position_that_agrees_and_makes_none_wait() -> None:
     fit, prior, memory = fitted(whole(), MARKS), drawn(whole(), 1), Waiting(VerifyConfig())
     memory.fixed(fit, 1, prior)
     assert not memory.holds(2, fit.odds)

@@ -62,7 +62,7 @@ def test_dark_and_bright_roofs_count_alike_and_so_does_any_contrast() -> None:
     np.testing.assert_allclose(strong.max(), weak.max(), rtol=0.15)
 
 
-def test_noise_alone_has_no_place() -> None:
+def test_noise_alone_has_no_position() -> None:
     best = summit(scores(drawn((0, 0), boxes=(), noise=15.0), outlines()), SHIFTS, SHIFTS, OPEN, 8.0)
     assert best.score < 0.15
     assert best.ratio < 1.3
@@ -75,7 +75,7 @@ def test_what_stands_there_twice_has_two_summits() -> None:
     assert 1.0 <= best.ratio < 1.1
 
 
-def test_of_two_places_as_good_the_prior_takes_its_own_and_no_ratio_says_so() -> None:
+def test_of_two_positions_as_good_the_prior_takes_its_own_and_no_ratio_reports_it() -> None:
     """Two boxes alike, 24 px apart: next to a prior of 10 px the one it is about is the place, whichever that is."""
     one = ((40, 60, 20, 20),)
     image = drawn((0, 0), boxes=one)

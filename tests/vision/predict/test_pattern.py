@@ -104,7 +104,7 @@ def test_nothing_there_is_no_fix() -> None:
         assert result.report.outcome == "no_pose"
 
 
-def test_a_row_of_equal_houses_is_no_place() -> None:
+def test_a_row_of_equal_houses_is_no_position() -> None:
     assert asked(ROW[1:4], ROW)[0].fix is None
 
 

@@ -198,7 +198,7 @@ def test_a_landmark_that_moved_is_left_out() -> None:
     assert later.fix is not None
 
 
-def test_reported_boxes_are_where_the_fit_says() -> None:
+def test_reported_boxes_are_where_the_fit_reports() -> None:
     """Roofs off the map by up to 0.5 m, 8 px, which the search finds to a few px."""
     rng, mapped = (
         np.random.default_rng(5),
@@ -249,7 +249,7 @@ def test_a_row_of_equal_houses_is_ambiguous_unless_the_prior_decides() -> None:
     assert np.linalg.norm(decided.pose.joint_p_n - view.p_n) < 1.5  # the next house is 9 m away
 
 
-def test_a_prior_that_is_too_wide_goes_to_segmentation_and_says_so() -> None:
+def test_a_prior_that_is_too_wide_goes_to_segmentation_and_reports_it() -> None:
     view = whole()
     wide = drawn(view, 1, SIGMA * np.array([8.0, 8.0, 1.0, 1.0, 1.0, 1.0]))
     auto = LandmarkPipeline(RIG, LandmarkMap.from_landmarks(ORIGIN, MARKS), PipelineConfig())
@@ -340,13 +340,13 @@ def test_little_to_be_seen_waits_for_an_image_from_elsewhere_that_agrees() -> No
     assert [late.process(view.left, view.right, t, prior).fix for t in (10**8, 10 * 10**9)] == [None, None]
 
 
-def test_a_likely_place_is_not_overruled_by_segmentation() -> None:
+def test_a_likely_position_is_not_overruled_by_segmentation() -> None:
     """From a prior so wide that segmentation is asked where nothing was found."""
     view = whole()
     assert doubting("auto").process(view.left, view.right, 0, drawn(view, 1)).report.outcome == "waiting"
 
 
-def test_a_place_that_does_not_agree_with_the_one_before_waits_on() -> None:
+def test_a_position_that_does_not_agree_with_the_one_before_waits_on() -> None:
     """The prior moved by a metre and a half between the images, the vehicle did not: the two places say different errors."""
     view, later, one = whole(), farther_on(), doubting()
     prior = drawn(view, 1)
@@ -356,7 +356,7 @@ def test_a_place_that_does_not_agree_with_the_one_before_waits_on() -> None:
     assert_right(one.process(later.left, later.right, 3 * 10**8, replace(other, p_n=other.p_n + ON)), later)
 
 
-def test_a_sure_place_that_does_not_agree_with_the_weak_one_before_waits_too() -> None:
+def test_a_certain_position_that_does_not_agree_with_the_weak_one_before_waits_too() -> None:
     """One of the two is wrong: here the second, since its prior moved and the vehicle did not."""
     view, weak, sure = whole(), doubting(), pipeline(MARKS)
     prior = drawn(view, 1)
@@ -402,7 +402,7 @@ def test_unknown_fields_are_refused() -> None:
             msgspec.json.decode(text, type=PipelineConfig)
 
 
-def test_every_place_that_is_nearly_as_good_is_a_rival() -> None:
+def test_every_position_that_is_nearly_as_good_is_a_rival() -> None:
     """A row of equal houses and a prior that is one house off: two of four places are excluded by it, two are as likely."""
     view, (left, right), prior, _ = decoy(91, 93, "row")
     result = pipeline(view.landmarks, view.rig).process(left, right, 0, prior)
@@ -420,7 +420,7 @@ def test_where_the_bare_ground_covers_half_of_one_roof_nothing_stands(seed: int,
 
 
 @pytest.mark.parametrize(("number", "kind"), [(15, "gone"), (23, "shifted"), (26, "shifted")])
-def test_a_place_of_chance_is_no_fix_by_its_odds(number: int, kind: str) -> None:
+def test_a_position_of_chance_is_no_fix_by_its_odds(number: int, kind: str) -> None:
     """Ground where nothing of the map stands. Odds apart, two images that agree make a fix of it, 6 to 35 m off and sure."""
     view, images, prior, _ = decoy(95, number, kind)
     moved, then, later_prior = later(view, prior)
@@ -466,7 +466,7 @@ def test_in_a_row_one_house_more_in_view_does_not_decide(decides_alike: float, o
     assert result.pose is None or np.linalg.norm(result.pose.joint_p_n - view.p_n) > 5.0
 
 
-def test_a_row_that_goes_on_in_the_map_is_no_place_however_many_of_it_are_found() -> None:
+def test_a_row_that_goes_on_in_the_map_is_no_position_however_many_of_it_are_found() -> None:
     """The prior is a house and 3.3 sigma off: the search meets a place two houses off, where all seven in view stand."""
     view, images, prior, _ = decoy(203, 89, "row")
     looking = PredictPath(view.rig, PredictConfig(), PoseConfig(), 0.1)
@@ -484,7 +484,7 @@ def test_a_row_that_goes_on_in_the_map_is_no_place_however_many_of_it_are_found(
 
 
 @pytest.mark.parametrize("number", [43, 87])
-def test_of_two_that_look_alike_both_seen_the_next_place_would_lack_one(number: int) -> None:
+def test_of_two_that_look_alike_both_seen_the_next_position_would_lack_one(number: int) -> None:
     """The prior reaches the place a step off; the image does not show there what the map has there."""
     shown = draw(98, number)
     prior = prior_of(shown.view, PRIOR_PX, 160.0)

@@ -61,7 +61,7 @@ def test_a_corner_of_two_streets_is_as_likely_a_house_as_not() -> None:
     assert min(whole) > 999.0
 
 
-def test_the_fewer_points_a_side_shows_the_less_it_says() -> None:
+def test_the_fewer_points_a_side_shows_the_less_it_reports() -> None:
     ratio = [log_ratio(with_step(texture(2), 100), [side(100, n)]) for n in (1, 2, 3, 6, 12)]
     assert ratio[0] == 0.0
     assert np.all(np.diff(ratio) > 0.0)

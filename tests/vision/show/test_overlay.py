@@ -153,7 +153,7 @@ def test_residual_strokes_names_and_caption_are_drawn(scene: View) -> None:
     assert np.any(said[435:, 10:60] != plain[435:, 10:60])
 
 
-def test_landmarks_out_of_sight_change_nothing() -> None:
+def test_landmarks_out_of_view_change_nothing() -> None:
     ground = np.full((480, 640, 3), 100, np.uint8)
     for landmarks in ([], [box(500.0, 0.0)], [box(0.0, -200.0)]):
         np.testing.assert_array_equal(draw_overlay(ground, CAMERA, ABOVE, NADIR, landmarks), ground)

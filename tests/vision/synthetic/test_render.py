@@ -211,7 +211,7 @@ def project_area(x_n: np.ndarray, p: np.ndarray, R: np.ndarray) -> float:
     return 0.5 * abs(float(np.dot(u, np.roll(v, 1)) - np.dot(v, np.roll(u, 1))))
 
 
-def test_ground_moves_as_the_camera_model_says() -> None:
+def test_ground_moves_as_the_camera_model_predicts() -> None:
     """Optical flow between two poses of the textured ground against the projected plane, sub-pixel."""
     ground = Ground.procedural(np.random.default_rng(4))
     world = world_of(ground=ground)

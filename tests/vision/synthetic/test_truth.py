@@ -67,7 +67,7 @@ def test_cut_by_the_border() -> None:
     assert landmark_views(one(4.0), CAMERA, np.array([0.0, 0.0, -40.0]), NADIR @ np.diag([1.0, -1.0, -1.0])) == []  # looks up
 
 
-def test_agrees_with_the_labels_of_a_crowded_place() -> None:
+def test_agrees_with_the_labels_of_a_crowded_image() -> None:
     rng = np.random.default_rng(7)
     world = make_world(6, WorldSpec(area_m=160.0, spacing_m=16.0, flat=0.0, trees=0.0)).world
     towers = []

@@ -1,4 +1,4 @@
-"""While the heading is unknown an estimate says so, honestly; where the nose shows the course, it begins with that."""
+"""While the heading is unknown an estimate reports it, consistently; where the nose shows the course, it begins with that."""
 
 import math
 from functools import cache
@@ -52,7 +52,7 @@ def test_a_hover_is_published_without_its_heading_and_consistently() -> None:
     assert (np.mean(nees, axis=0) < 2.0).all()
 
 
-def test_a_heading_that_is_unknown_is_no_reset_and_health_says_so() -> None:
+def test_a_heading_that_is_unknown_is_no_reset_and_health_reports_it() -> None:
     _, run = _hover(1)
     unknown = [h for h in run.health if h.mode is Mode.ALIGNING_HEADING]
     assert unknown

@@ -69,7 +69,7 @@ def test_in_motion_neither_tilt_nor_gyro_bias_is_trusted(moving: dict[str, float
     assert at.gyro_bias_sigma == CONFIG.gyro_bias_sigma
 
 
-def test_what_feels_like_rest_is_none_where_something_else_says_that_it_moves() -> None:
+def test_what_feels_like_rest_is_none_where_something_else_reports_that_it_moves() -> None:
     at = level(EPOCH_NS, _stretch(0.2, 0.0), CONFIG, may_rest=False)
     assert not at.still
     assert at.tilt_sigma == pytest.approx(math.radians(CONFIG.level_moving_deg))
@@ -99,7 +99,7 @@ def test_a_gentle_coordinated_turn_is_not_taken_for_rest() -> None:
 # --- from a pose fix -------------------------------------------------------------------------------------------------------
 
 
-def test_a_pose_fix_starts_the_filter_where_it_says_with_its_covariance_about_the_bodys_axes() -> None:
+def test_a_pose_fix_starts_the_filter_where_it_reports_with_its_covariance_about_the_bodys_axes() -> None:
     q = so3.from_euler(0.4, -0.3, 2.0)
     noise = np.diag([0.1, 0.2, 0.3, 0.01, 0.02, 0.05])
     noise[0, 5] = noise[5, 0] = 0.03
@@ -183,7 +183,7 @@ def _at_rest_with_gnss(duration_s: float) -> list[Input]:
     return by_arrival([*samples, *aids])
 
 
-def test_at_rest_it_waits_and_says_so() -> None:
+def test_at_rest_it_waits_and_reports_it() -> None:
     run = Run(Fusion(FusionConfig(origin=HOME))).feed(_at_rest_with_gnss(20.0))
     assert not run.aligned
     assert run.health[-1].mode is Mode.ALIGNING_HEADING
@@ -193,7 +193,7 @@ def test_at_rest_it_waits_and_says_so() -> None:
     assert "at rest" in run.health[-1].detail
 
 
-def test_until_it_is_aligned_health_says_in_numbers_what_is_missing() -> None:
+def test_until_it_is_aligned_health_reports_in_numbers_what_is_missing() -> None:
     """A hover without acceleration, GNSS alone: the heading never shows."""
     rng, origin = np.random.default_rng(0), Origin(*HOME)
     messages = list[Input]()
@@ -256,7 +256,7 @@ def _aid(message: GnssFix | GnssVelocity) -> Aid:
     return aid
 
 
-def test_a_single_wild_measurement_does_not_decide_the_heading() -> None:
+def test_a_single_implausible_measurement_does_not_decide_the_heading() -> None:
     bank = start_from_position(EPOCH_NS, Z, LEVEL, CONSTANTS, CONFIG)
     aid = _aid(GnssVelocity(EPOCH_NS, EPOCH_NS, (300.0, 0.0, 0.0), np.eye(3) * 0.01))
     z = aid.measurement(None)

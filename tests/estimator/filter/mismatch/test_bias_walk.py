@@ -120,7 +120,7 @@ def test_readings_of_a_receiver_do_not_raise_it_for_a_receiver_may_be_pulled_off
     assert walk.factor == 1.0
 
 
-def test_a_restarted_estimate_knows_what_was_learnt_of_the_world() -> None:
+def test_a_restarted_estimate_keeps_what_was_estimated_of_the_sensors() -> None:
     flight = simulated(FLIGHT, seed=1)
     run = fly(flight, messages=flight.messages[:2000])
     tracker = run.fusion._history.advance(run.estimates[-1].t_ns)

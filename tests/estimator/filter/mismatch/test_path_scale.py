@@ -123,7 +123,7 @@ def test_it_is_forgotten_when_the_fixes_are_in_metres_again_and_not_before() -> 
     assert _after(600.0, _circle, 1.0, begun=wrong).objection(FIX) == ""
 
 
-def test_a_flight_with_fixes_in_centimetres_follows_gnss_and_says_why() -> None:
+def test_a_flight_with_fixes_in_centimetres_follows_gnss_and_reports_why() -> None:
     flight = simulated("duration_s = 40.0\n[imu]\nrate_hz = 100.0\n[gnss]\nrate_hz = 5.0\n[pose_fix]\nrate_hz = 2.0\n", seed=3)
     messages: list[Input] = [
         replace(m, p_n=vec3(100.0 * np.array(m.p_n))) if isinstance(m, PoseFix) else m for m in flight.messages

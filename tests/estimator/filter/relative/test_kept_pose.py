@@ -119,7 +119,7 @@ def test_increments_do_not_overlap() -> None:
     assert steps.take(bank, second, step.kept, step.state, alone=True).reason is Reason.THINNED
 
 
-def test_hypotheses_are_told_apart_by_little_and_each_fuses_what_it_foresaw() -> None:
+def test_hypotheses_are_separated_by_little_and_each_fuses_what_it_predicted() -> None:
     right, wrong = _filter(), _filter()
     for f in (right, wrong):
         f.cov[E.V, E.V] = np.eye(3) * 0.05**2
@@ -135,7 +135,7 @@ def test_hypotheses_are_told_apart_by_little_and_each_fuses_what_it_foresaw() ->
     assert wrong.x[X.V][0] > 4.5
 
 
-def test_where_it_contradicts_for_good_and_nobody_decides_the_covariance_covers_both() -> None:
+def test_where_it_contradicts_for_good_and_no_other_source_decides_the_covariance_covers_both() -> None:
     f = _filter()
     f.cov[E.V, E.V] = np.eye(3) * 0.02**2
     f.cov[:3, 3:6] = f.cov[3:6, :3] = 0.0

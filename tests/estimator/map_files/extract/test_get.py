@@ -109,7 +109,7 @@ def test_the_radius_is_kept(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("middle", [180.0, -179.9995])
 @pytest.mark.parametrize("file", ["geojson", "gpkg"])
-def test_a_place_on_the_180th_meridian(middle: float, file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_position_on_the_180th_meridian(middle: float, file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One house on each side, and one that the meridian divides, as longitudes beyond 180."""
     west, east, across = (square(lon, -16.5, 10.0) for lon in (179.999, -179.999, 179.99998))
     monkeypatch.setattr(extracts, "POLYGONS", [(str(k), [[ring]], {}) for k, ring in enumerate((west, east, across))])

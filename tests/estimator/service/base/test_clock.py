@@ -109,7 +109,7 @@ def test_a_clock_that_is_reset_is_found_again(world: World, clock: Clock) -> Non
     assert 2 < refused <= 2 * 42
 
 
-def test_a_single_wild_stamp_is_rejected_and_changes_nothing(world: World, clock: Clock) -> None:
+def test_a_single_implausible_stamp_is_rejected_and_changes_nothing(world: World, clock: Clock) -> None:
     stamps = _stamps(clock)
     for k in range(200):
         world.steady_ns += 5 * MS

@@ -40,7 +40,7 @@ def _as_ardupilot_reads(lat0: float, lon0: float, sea0: float, p: Vec3) -> Vec3:
     "away_n", [(0.0, 0.0, 0.0), (300.0, -200.0, -20.0), (9000.0, 7000.0, -400.0), (-40_000.0, 60_000.0, 90.0)]
 )
 @pytest.mark.parametrize("origin_n", [(0.0, 0.0, 0.0), (250.0, 260.0, 5.0), (-20_000.0, 3000.0, 100.0)])
-def test_ardupilot_reads_the_place_that_is_meant(away_n: Vec3, origin_n: Vec3) -> None:
+def test_ardupilot_reads_the_position_that_is_sent(away_n: Vec3, origin_n: Vec3) -> None:
     lat0, lon0, ellipsoid0 = MAP.to_geodetic(origin_n)
     lat0, lon0, sea0 = round(lat0, 7), round(lon0, 7), round(ellipsoid0 - GEOID_M, 3)
     pose = _heard(lat0, lon0, sea0).pose(_estimate(away_n), GEOID_M)

@@ -207,7 +207,7 @@ def test_the_heading_of_two_antennas_is_given_or_not(yaw: int, degrees: float | 
     assert [m.values[0] for m in read] == pytest.approx([] if degrees is None else [math.radians(degrees)])
 
 
-def test_an_attitude_is_of_the_body_in_ned_and_as_sure_as_configured() -> None:
+def test_an_attitude_is_of_the_body_in_ned_and_as_accurate_as_configured() -> None:
     message = _over_the_wire(mavlink.MAVLink_attitude_message(7000, 0.1, -0.2, 2.5, 0, 0, 0))
     config, topics = MavlinkConfig(attitude_sigma_deg=(2.0, 10.0)), Topics(attitude=("/attitude",))
     inputs = Inputs(config, topics, 0.0)
@@ -284,7 +284,7 @@ def _covariance(fix: GnssFix | GnssVelocity | None) -> Array:
     return fix.covariance_n
 
 
-def test_a_receiver_that_knows_its_accuracy() -> None:
+def test_a_receiver_that_reports_its_accuracy() -> None:
     message = _gps(alt_ellipsoid=535_500, h_acc=1500, v_acc=2500, vel_acc=300)
     fix, velocity = codec.gnss_fix(message, T0, 99.0, "/gnss"), codec.gnss_velocity(message, T0, "/gnss/velocity")
     assert (fix.lat_deg, fix.lon_deg, fix.alt_m) == pytest.approx((47.3977, 8.5456, 535.5))

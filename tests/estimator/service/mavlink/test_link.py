@@ -118,7 +118,7 @@ def _soon(condition: Callable[[], object], what: str) -> None:
         time.sleep(0.01)
 
 
-def test_it_says_who_it_is_and_asks_for_what_it_needs() -> None:
+def test_it_reports_who_it_is_and_asks_for_what_it_needs() -> None:
     with _px4(imu_hz=250.0, gnss_hz=8.0) as (_, _, _, autopilot):
         autopilot.until(lambda: len(_requested(autopilot.heard)) == 5, "all are asked for")
         beat = autopilot.of("HEARTBEAT")[0]
@@ -164,7 +164,7 @@ def test_questions_of_the_autopilot_are_answered_with_our_time_and_those_of_othe
         autopilot.say(mavlink.MAVLink_timesync_message(autopilot.boot_us() * 1000, clock.now_ns()))
         autopilot.listen(0.2)
         assert link.report()["timesync_answers"] == answers
-        assert (link.report()["wild_stamps"], link.report()["defects"]) == (0, 0)
+        assert (link.report()["implausible_stamps"], link.report()["defects"]) == (0, 0)
 
 
 @pytest.mark.parametrize(("kind", "frame"), [(PX4, 1), (ARDUPILOT, 20)])
@@ -338,7 +338,7 @@ def test_after_a_silence_it_asks_again(monkeypatch: pytest.MonkeyPatch) -> None:
         assert link.report()["reboots"] == 0
 
 
-def test_a_single_wild_stamp_is_not_used() -> None:
+def test_a_single_implausible_stamp_is_not_used() -> None:
     with _px4() as (link, inbox, _, autopilot):
         autopilot.until(lambda: link.report()["timesync_answers"], "clocks are in step")
         autopilot.imu(boot_us=2**62)
@@ -347,7 +347,7 @@ def test_a_single_wild_stamp_is_not_used() -> None:
         autopilot.until(lambda: inbox.got, "the good one")
         autopilot.listen(0.1)
         assert len(inbox.got) == 1
-        assert (link.report()["wild_stamps"], link.report()["reboots"]) == (2, 0)
+        assert (link.report()["implausible_stamps"], link.report()["reboots"]) == (2, 0)
 
 
 def test_raw_imu_stands_in_with_a_warning_until_the_good_one_comes(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -429,7 +429,7 @@ def test_odometry_of_a_companion_comes_in_on_its_clock_or_the_autopilots_and_the
         autopilot.until(lambda: inbox.of(ImuSample), "the sample after them")
         poses = inbox.of(OdometryPose)
         assert [abs(p.t_ns - now_ns) < SECOND // 50 for p in poses] == [True, True]
-        assert (link.report()["wild_stamps"], link.report()["defects"]) == (1, 0)
+        assert (link.report()["implausible_stamps"], link.report()["defects"]) == (1, 0)
 
 
 @pytest.mark.parametrize("component", [1, 197])

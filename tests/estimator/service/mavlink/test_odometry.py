@@ -97,7 +97,7 @@ def test_a_step_that_is_missing_ends_an_increment_and_none_overlap() -> None:
     assert spans == [(0, 150, 0.3), (250, 750, 1.0)]
 
 
-def test_a_camera_without_confidence_says_nothing_and_nonsense_is_refused() -> None:
+def test_a_camera_without_confidence_is_ignored_and_nonsense_is_refused() -> None:
     inputs, step = _inputs(), np.array([0.1, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
     assert not list(inputs.odometry(_over_the_wire(_delta(T0, step, 0.6, confidence=0.0)), T0))
     for wrong in (_delta(T0, np.full(7, math.nan), 0.6), _delta(T0, step, 0.0), _delta(T0, step, 60.0)):

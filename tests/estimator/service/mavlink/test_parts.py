@@ -81,7 +81,7 @@ def test_endpoints_that_are_refused_say_why(endpoint: str, says: str) -> None:
     taken.close()
 
 
-def test_a_key_or_speed_that_is_not_there_says_so(tmp_path: Path) -> None:
+def test_a_key_or_speed_that_is_not_there_reports_it(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no such file"):
         signing_key(MavlinkConfig("/dev/null", signing_key_file="none"), tmp_path)
     (tmp_path / "empty").write_text("\n")

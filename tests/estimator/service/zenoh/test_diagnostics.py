@@ -15,7 +15,7 @@ from tests.estimator.service.flying import client, free_port, until
 
 
 @pytest.mark.parametrize("wanted", [True, False])
-def test_health_is_on_diagnostics_where_the_configuration_wants_it(wanted: bool, tmp_path: Path) -> None:
+def test_health_is_on_diagnostics_where_the_configuration_enables_it(wanted: bool, tmp_path: Path) -> None:
     port, heard = free_port(), list[zenoh.Sample]()
     config = ZenohConfig(listen=(f"tcp/127.0.0.1:{port}",), diagnostics=wanted)
     health = encode(Health(1, 1, Mode.AIDED, 0.1, 2.0, 1.0, 0, {}, {}, 1))[0]

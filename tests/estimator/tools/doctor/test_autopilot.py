@@ -144,7 +144,7 @@ def test_px4_sends_its_integers_as_bytes() -> None:
         assert {name for name, check in checks.items() if check.state is State.FAIL} == {"EKF2_EV_CTRL", "EKF2_EV_QMIN"}
 
 
-def test_nobody_there_no_endpoint_and_a_port_that_is_taken_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nobody_there_no_endpoint_and_a_port_that_is_taken_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("estimator.service.mavlink.questions._PATIENCE_S", 0.3)
     silent = UdpAutopilot()
     (check,) = doctor.autopilot(parse(_config(silent.port)), Path())

@@ -208,7 +208,7 @@ def with_imu(simulation: Simulation, path: Path, change: Callable[[int, ImuSampl
     return rewritten(simulation, path, lambda m: change(numbers[id(m)], m) if isinstance(m, ImuSample) else m)
 
 
-def test_one_wild_gyro_sample_is_no_wrong_unit(simulation: Simulation, tmp_path: Path) -> None:
+def test_one_implausible_gyro_sample_is_no_wrong_unit(simulation: Simulation, tmp_path: Path) -> None:
     def spike(k: int, m: ImuSample) -> ImuSample:
         return msgspec.structs.replace(m, gyro_b=(60.0, 60.0, 60.0)) if k == 1500 else m
 

@@ -94,7 +94,7 @@ def pairs(the_map: LandmarkMap) -> list[tuple[Landmark, Landmark]]:
     return found
 
 
-def test_what_is_learned_is_there_as_exactly_as_it_says(flown: Path) -> None:
+def test_what_is_learned_is_there_as_exactly_as_it_reports(flown: Path) -> None:
     the_map = LandmarkMap.from_geojson((flown / "learned.geojson").read_bytes())
     matched = pairs(the_map)
     assert len(the_map) >= 8
@@ -128,7 +128,7 @@ def test_the_map_is_one_that_check_accepts(flown: Path) -> None:
     assert [states[f"without {name}"] for name in ("height_m", "ground_alt_m", "sigma_m", "colour")] == ["ok"] * 4
 
 
-def test_without_gps_it_carries_the_flight_and_the_estimate_knows_how_well(flown: Path, tmp_path: Path) -> None:
+def test_without_gps_it_carries_the_flight_and_the_covariance_is_consistent(flown: Path, tmp_path: Path) -> None:
     (tmp_path / "scenario.toml").write_text(FLYING)
     simulated(tmp_path / "scenario.toml", tmp_path / "fly.mcap", 8)
     (tmp_path / "fly_map.geojson").write_bytes((flown / "learned.geojson").read_bytes())

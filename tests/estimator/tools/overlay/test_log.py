@@ -179,7 +179,7 @@ def test_without_attachments_the_files_beside_the_log_serve_that_its_configurati
     assert "neither holds nor names a map of landmarks; give one with --map FILE" in no_map.stderr
 
 
-def test_a_log_with_nothing_to_draw_says_so_in_one_line(tmp_path: Path) -> None:
+def test_a_log_with_nothing_to_draw_reports_it_in_one_line(tmp_path: Path) -> None:
     empty, blind = tmp_path / "empty.mcap", tmp_path / "blind.mcap"
     with Recorder(empty) as recorder:
         recorder.write(*village().pairs[0][0], EPOCH_NS)

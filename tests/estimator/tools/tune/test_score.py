@@ -179,7 +179,7 @@ def test_against_a_truth_the_whole_flight_counts(flight: tuple[str, str]) -> Non
     assert bad.score < good.score
 
 
-def test_a_log_that_cannot_be_used_says_why(flight: tuple[str, str], tmp_path: Path) -> None:
+def test_a_log_that_cannot_be_used_reports_why(flight: tuple[str, str], tmp_path: Path) -> None:
     log, config = flight
     short, _ = simulated(tmp_path / "short.mcap", seed=1, seconds=12.0)
     with pytest.raises(LogError, match="no absolute fix to hold back"):
