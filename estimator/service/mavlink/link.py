@@ -141,6 +141,7 @@ class MavlinkLink:
             "clock_ahead_s": f"{(offset.ahead_ns or 0) * 1e-9:.6f}" if known else "unknown",
             "clock_bound_ms": f"{offset.bound_ns * 1e-6:.3f}",
             "timesync_answers": self._boot.answers,
+            "clock_steps": offset.steps,
             "reboots": self._boot.reboots,
             "wild_stamps": self._boot.wild + self.wild_companions,
             **self._inputs.report(),
