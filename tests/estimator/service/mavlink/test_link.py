@@ -18,6 +18,7 @@ from estimator.service.autopilot.output_policy import AutopilotConfig, OutputPol
 from estimator.service.base.clock import Clock
 from estimator.service.daemon import Daemon
 from estimator.service.mavlink.config import MavlinkConfig
+from estimator.service.mavlink.local_frame import LocalOrigin
 from estimator.service.mavlink.link import MavlinkLink
 from estimator.strict_toml import ConfigError
 from logs.wire.codec import Topics
@@ -93,6 +94,9 @@ def _px4(**settings: Any) -> Iterator[tuple[MavlinkLink, _Inbox, Clock, UdpAutop
         closing(UdpAutopilot(kind)) as autopilot,
         _linked(MavlinkConfig(endpoint=f"udpout:127.0.0.1:{autopilot.port}", **settings)) as (link, inbox, clock),
     ):
+        lat, lon, alt_m = ORIGIN.lla
+        here = mavlink.MAVLink_gps_global_origin_message(round(lat * 1e7), round(lon * 1e7), round((alt_m - 47.5) * 1e3))
+        autopilot.origin = here if kind == PX4 else None
         autopilot.until(lambda: link.report()["autopilot"] != "unknown" and autopilot.of("COMMAND_LONG"), "the link knows it")
         yield link, inbox, clock, autopilot
 
@@ -225,6 +229,34 @@ def test_odometry_for_ardupilot_counts_from_its_origin_and_is_not_to_be_used_bef
         ]
         assert (moved.y - third.y, moved.reset_counter, moved.quality) == (pytest.approx(-100.0, abs=0.5), 5, third.quality)
         assert link.report()["refused"] == link.report()["defects"] == 0
+
+
+def test_odometry_for_px4_counts_from_its_origin_which_is_asked_for() -> None:
+    """EKF2 takes it so as well: in the simulator it jumped by the 337 m between the origins, and the vehicle left."""
+    with _px4() as (link, _, clock, autopilot):
+        autopilot.until(lambda: "0 m north, 0 m east" in link.report()["ekf_origin"], "its origin is known")
+        _say_origin(autopilot, (-216.0, 288.0, 10.0))
+        autopilot.until(lambda: "-216 m north, 288 m east" in link.report()["ekf_origin"], "it has moved")
+        t_ns = clock.now_ns()
+        link.send([_fused(t_ns), _estimate(t_ns)], [])
+        autopilot.until(lambda: autopilot.of("ODOMETRY"), "odometry")
+        sent = autopilot.of("ODOMETRY")[-1]
+        assert sent.quality > 0
+        assert [sent.x, sent.y, sent.z] == pytest.approx([226.0, -268.0, -40.0], abs=1.0)  # 0.3 % of its sphere
+
+
+def test_until_px4_has_had_time_to_answer_odometry_is_not_to_be_used() -> None:
+    with _px4() as (link, _, clock, autopilot):
+        autopilot.origin, link._local = None, LocalOrigin()
+        t_ns = clock.now_ns()
+        link.send([_fused(t_ns), _estimate(t_ns)], [])
+        autopilot.until(lambda: autopilot.of("ODOMETRY"), "odometry")
+        assert autopilot.of("ODOMETRY")[-1].quality == -1
+        link._since_ns -= 6 * SECOND  # indoors it has none, and takes odometry as it is
+        link.send([_fused(t_ns + SECOND), _estimate(t_ns + SECOND)], [])
+        autopilot.until(lambda: len(autopilot.of("ODOMETRY")) == 2, "odometry")
+        last = autopilot.of("ODOMETRY")[-1]
+        assert (last.quality > 0, last.x, last.y, last.z) == (True, 10.0, 20.0, -30.0)
 
 
 def test_a_change_of_integrity_is_said_once_and_ends_the_use_of_the_odometry() -> None:
