@@ -115,7 +115,7 @@ class Offset:
         if abs(ahead_ns - best_ns) <= bound_ns - narrow + _DRIFT_NS:
             return
         self._contrary = ahead_ns, bound_ns
-        if before is not None and abs(ahead_ns - before[0]) <= bound_ns + before[1]:
+        if before is not None and abs(ahead_ns - before[0]) <= bound_ns + before[1] + _DRIFT_NS:
             self._best, self.ahead_ns, self._contrary = [], None, None
             self.steps += 1
 

@@ -174,6 +174,15 @@ def test_a_simulated_clock_that_falls_behind_is_followed_by_the_second_answer() 
     assert offset.bound_ns == 2 * MS
 
 
+def test_a_simulated_clock_that_is_slow_by_1_percent_is_followed_in_steps() -> None:
+    offset, now_ns = Offset(0), START_NS
+    for k in range(400):
+        now_ns += SECOND_NS // 4
+        offset.round_trip(now_ns, now_ns - SECOND_NS - k * 2_500_000, now_ns)
+        assert offset.ahead_ns is not None
+        assert abs(offset.ahead_ns + SECOND_NS + k * 2_500_000) < 30 * MS
+
+
 def test_answers_that_are_late_by_a_second_are_no_step() -> None:
     offset, now_ns = Offset(0), START_NS
     for k in range(80):
