@@ -240,7 +240,8 @@ def _gnss(source: Path, table: _Table | None, topic: str) -> list[Stream]:
     lla = np.stack([table["lat"] * 1e-7, table["lon"] * 1e-7, height], axis=1)
     sensors.check_place(lla, source.name)
     status = sensors.navsat_status(table["fix_type"])
-    t_ns, arrived_ns = table.t_ns, table.arrived_ns
+    arrived_ns = table.arrived_ns
+    t_ns = np.where(status < 0, arrived_ns, table.t_ns)  # without a fix ArduPilot repeats the stamp of the last one
     streams = [recording.gnss(t_ns, arrived_ns, lla, _position_variance(table), status, topic)]
     moving = np.flatnonzero((status >= 0) & (table["vel"] != _UNKNOWN) & (table["cog"] != _UNKNOWN))
     if len(moving):

@@ -4,7 +4,8 @@
 
 A stamp t' of another clock, which is ahead of ours by a:  t = t' - a,  lag = arrival - t >= the least delay of the way.
 From messages that go one way only a is known from above, a <= t' - arrival + delay, and the quickest message of the last seconds
-is the best bound; from a question and its answer a is known within half the time that both took (Cristian 1989).
+is the best bound; from a question and its answer a is known within half the time that both took (Cristian 1989). Two intervals
+that do not overlap, [a_1 - h_1, a_1 + h_1] and [a_2 - h_2, a_2 + h_2], cannot both hold a (Marzullo 1984): the other clock has stepped.
 """
 
 import time
@@ -18,6 +19,7 @@ from msgspec import Meta
 SECOND_NS: Final = 1_000_000_000
 _WINDOW_NS: Final = 10 * SECOND_NS  # of which the quickest message counts, and of the window before
 _SLEW: Final = 1e-3  # s/s: how fast an offset that has settled may follow
+_DRIFT_NS: Final = int(2 * _WINDOW_NS * _SLEW)  # of the other clock while a reading counts, at most
 _SETTLING_NS: Final = 2 * SECOND_NS
 _STEP_NS: Final = 1_000_000  # the wall clock has stepped, not been read late
 _READING_NS: Final = 100_000  # the two clocks are read together, or not at all
@@ -83,6 +85,8 @@ class Offset:
     _since_ns: int = 0
     _settled_ns: int = 0
     _seen_ns: int = 0
+    _contrary: tuple[int, int] | None = None  # ahead, bound: the last reading, where it contradicts the best one
+    steps: int = 0
 
     def one_way(self, stamp_ns: int, arrived_ns: int) -> None:
         """A message stamped by the other clock when it was sent arrived now."""
@@ -91,6 +95,7 @@ class Offset:
     def round_trip(self, asked_ns: int, stamp_ns: int, answered_ns: int) -> None:
         """A question of ours was answered by the other clock's time."""
         middle, half = (asked_ns + answered_ns) // 2, (answered_ns - asked_ns) // 2
+        self._look_for_step(stamp_ns - middle, half)
         self._observe(stamp_ns - middle, half, answered_ns)
 
     def ours(self, stamp_ns: int) -> int | None:
@@ -100,6 +105,19 @@ class Offset:
     def theirs(self, t_ns: int) -> int | None:
         """A time of ours on the other clock."""
         return None if self.ahead_ns is None else t_ns + self.ahead_ns
+
+    def _look_for_step(self, ahead_ns: int, bound_ns: int) -> None:
+        """Two readings in a row that agree with each other and contradict the best one: what was known before is dropped."""
+        before, self._contrary = self._contrary, None
+        if not self._best:
+            return
+        narrow, best_ns = max(self._best)
+        if abs(ahead_ns - best_ns) <= bound_ns - narrow + _DRIFT_NS:
+            return
+        self._contrary = ahead_ns, bound_ns
+        if before is not None and abs(ahead_ns - before[0]) <= bound_ns + before[1] + _DRIFT_NS:
+            self._best, self.ahead_ns, self._contrary = [], None, None
+            self.steps += 1
 
     def _observe(self, ahead_ns: int, bound_ns: int, now_ns: int) -> None:
         """Of a window the reading with the narrowest bound counts, and of equal ones the quickest: delays have one sign."""

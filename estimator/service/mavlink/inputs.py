@@ -55,6 +55,7 @@ class Inputs:
         self._attitude_sigma_deg = config.attitude_sigma_deg
         self._attitude_topic = topics.attitude[0] if topics.attitude else None
         self._geoid_m = geoid_m
+        self._sends_odometry = config.odometry
         self._needs_origin = config.odometry or self._attitude_topic is not None  # ArduPilot's
         self._imu_topic = topics.imu[0] if config.imu and topics.imu else None
         self._other_imus = dict(zip(_OTHERS, topics.imu[1:] if config.imu else (), strict=False))
@@ -165,7 +166,7 @@ class Inputs:
     def _missing(self, now_ns: int, autopilot: int | None) -> dict[int, int]:
         """What is wanted, and how often."""
         wanted = {mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: round(_MICRO / _SYSTEM_TIME_HZ)}
-        if self._needs_origin and autopilot == codec.ARDUPILOT:
+        if self._needs_origin and (autopilot == codec.ARDUPILOT or (autopilot == codec.PX4 and self._sends_odometry)):
             wanted[_ORIGIN] = round(_MICRO / _ORIGIN_HZ)
         wanted |= dict.fromkeys(self._positions.keys() | self._velocities.keys(), self._gnss_us)
         if self._attitude_topic:

@@ -16,7 +16,7 @@ from estimator.service.autopilot.output_policy import OutputPolicy, is_sound, ne
 from estimator.service.base.clock import SECOND_NS, Clock
 from estimator.service.base.ports import Inbox
 from estimator.service.mavlink import codec
-from estimator.service.mavlink.ardupilot_frame import Ekf3Origin
+from estimator.service.mavlink.local_frame import LocalOrigin
 from estimator.service.mavlink.config import MavlinkConfig, address_of, signing_key
 from estimator.service.mavlink.inputs import Inputs
 from estimator.service.mavlink.io import opened
@@ -30,12 +30,14 @@ from models.radius import horizontal_radius
 from models.state import X
 
 _HEARTBEAT_NS: Final = SECOND_NS
+_NO_ORIGIN_NS: Final = 5 * SECOND_NS  # without an answer: PX4 has none
 _TIMESYNC_NS: Final = SECOND_NS // 4
 _GONE_NS: Final = 3 * SECOND_NS  # without a HEARTBEAT
 _IMPLAUSIBLE_NS: Final = 2 * SECOND_NS  # a stamp further from now than this is of no known clock
 _ODOMETRIES: Final = frozenset({"ODOMETRY", "VISION_POSITION_DELTA"})
 _TURN_S: Final = 0.02  # the thread looks at the time this often
 _US_NS: Final = 1_000
+_EKFS: Final = {codec.PX4: "EKF2", codec.ARDUPILOT: "EKF3"}
 _AUTOPILOTS: Final = {"px4": codec.PX4, "ardupilot": codec.ARDUPILOT}
 _NAMES: Final = {number: name for name, number in _AUTOPILOTS.items()}
 _IN_PROGRESS: Final = frozenset({mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS})
@@ -80,7 +82,7 @@ class MavlinkLink:
             Wire(config.system, config.component, heard, wanted, key, clock.now_ns()) for _ in ("what it parses", "what it packs")
         )
         self._pace, self._fix_waits = Pace(odometry_hz), False
-        self._boot, self._ekf3 = AutopilotClock(), Ekf3Origin()
+        self._boot, self._local = AutopilotClock(), LocalOrigin()
         self._map_origin: tuple[float, float, float] | None = None
         self._quality: int | None = None  # of the last odometry
         self._alerted: Alert | None = None  # as the last STATUSTEXT said
@@ -88,7 +90,7 @@ class MavlinkLink:
         self._autopilot = _AUTOPILOTS.get(config.autopilot)
         self._peer: Any = None
         self._heartbeat_ns = self._peer_ns = -SECOND_NS * 3600
-        self._next_heartbeat_ns = self._next_timesync_ns = 0
+        self._next_heartbeat_ns = self._next_timesync_ns = self._since_ns = 0
         self._sending, self._stopping = threading.Lock(), False
         self.sent_odometry = self.sent_fixes = self.unsent = self.strangers = self.commands_refused = self.defects = 0
         self.refused = self.out_of_range = self.impossible_dates = self.implausible_companions = 0
@@ -141,10 +143,11 @@ class MavlinkLink:
             "clock_ahead_s": f"{(offset.ahead_ns or 0) * 1e-9:.6f}" if known else "unknown",
             "clock_bound_ms": f"{offset.bound_ns * 1e-6:.3f}",
             "timesync_answers": self._boot.answers,
+            "clock_steps": offset.steps,
             "reboots": self._boot.reboots,
             "implausible_stamps": self._boot.implausible + self.implausible_companions,
             **self._inputs.report(),
-            **({"ekf_origin": self._ekf3.report(self._map_origin, self._geoid_m)} if self._autopilot == codec.ARDUPILOT else {}),
+            "ekf_origin": self._local.report(self._map_origin, self._geoid_m, is_px4=self._autopilot == codec.PX4),
             "odometry": self.sent_odometry,
             "quality": "none sent" if self._quality is None else self._quality,
             "fixes": self.sent_fixes,
@@ -167,7 +170,10 @@ class MavlinkLink:
         is_ardupilot = autopilot == codec.ARDUPILOT
         self._map_origin = estimate.origin
         ours = vec3(estimate.nav[X.P]), so3.normalise(estimate.nav[X.Q])
-        pose = self._ekf3.pose(estimate, self._geoid_m) if is_ardupilot else ours
+        pose = self._local.pose(estimate, self._geoid_m, is_px4=not is_ardupilot)
+        has_none = self._local.place is None and self._clock.now_ns() - self._since_ns > _NO_ORIGIN_NS
+        if not is_ardupilot and has_none:
+            pose = ours  # PX4 without a place on Earth, indoors: its local frame is where odometry has it
         quality = self._policy.quality(estimate, one_source_at_a_time=is_ardupilot) if pose else -1
         self._announce(estimate, quality, knows_frame=pose is not None)
         pose, self._quality = pose or ours, quality
@@ -187,8 +193,11 @@ class MavlinkLink:
             line = "odometry may be used"
         elif (now := self._policy.integrity) is not None and self._policy.is_alarmed:
             line = f"odometry is not to be used: {now.reason}"
+        elif not knows_frame and self._local.place is not None and self._map_origin is not None:
+            return  # it has come meanwhile: the next message is in its frame
         elif not knows_frame:
-            line = "odometry is not to be used: the origin of EKF3 is " + self._ekf3.report(self._map_origin, self._geoid_m)
+            ekf, where = _EKFS.get(self._autopilot or -1, "its EKF"), self._local.report(self._map_origin, self._geoid_m)
+            line = f"odometry is not to be used: the origin of {ekf} is {where}"
         elif radius_m < self._policy.most_radius_m:
             line = f"odometry is not to be used: the mode is {estimate.mode.value}"
         else:
@@ -268,7 +277,7 @@ class MavlinkLink:
         elif kind == "SYSTEM_TIME":
             self._hear_system_time(message, now_ns)
         elif kind == "GPS_GLOBAL_ORIGIN":
-            self._ekf3.hear(message)
+            self._local.hear(message)
         elif kind == "COMMAND_ACK":
             asked = message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
             refused = asked and message.result not in _IN_PROGRESS
@@ -297,7 +306,8 @@ class MavlinkLink:
     def _ask_again(self) -> None:
         """The autopilot may be another one, or have begun again."""
         self._inputs.ask_again()
-        self._ekf3.forget()
+        self._local.forget()
+        self._since_ns = self._clock.now_ns()
 
     def _hear_heartbeat(self, message: Any, now_ns: int) -> None:
         if message.autopilot == mavlink.MAV_AUTOPILOT_INVALID:
@@ -338,9 +348,17 @@ class MavlinkLink:
             self._tell(mavlink.MAVLink_timesync_message(0, asked_ns))
         for number, period_us in self._inputs.requests(now_ns, self._autopilot):
             self._tell(_request(self._config.system, number, period_us))
+            if number == mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN and self._autopilot == codec.PX4:
+                self._tell(_request_once(self._config.system, number))
 
 
 def _request(system: int, number: int, period_us: int) -> Any:
     """SET_MESSAGE_INTERVAL."""
     command, autopilot = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAV_COMP_ID_AUTOPILOT1
     return mavlink.MAVLink_command_long_message(system, autopilot, command, 0, number, period_us, 0, 0, 0, 0, 0)
+
+
+def _request_once(system: int, number: int) -> Any:
+    """REQUEST_MESSAGE: PX4 sends its origin when it changes, whatever the interval."""
+    command, autopilot = mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAV_COMP_ID_AUTOPILOT1
+    return mavlink.MAVLink_command_long_message(system, autopilot, command, 0, number, 0, 0, 0, 0, 0, 0)

@@ -24,7 +24,7 @@ _NAMES: Final = {
         *(f"EK3_SRC{k}_{name}" for k in _SETS for name in _SOURCES),
         *_SWITCHES,
         *_RECEIVERS,
-        "GPS_AUTO_SWITCH",
+        *("GPS_AUTO_SWITCH", "INS_GYRO_FILTER", "INS_ACCEL_FILTER"),
     ),
     codec.PX4: ("EKF2_EV_CTRL", "EKF2_EV_QMIN", "EKF2_EV_DELAY", "EKF2_EV_NOISE_MD", "EKF2_AGP0_CTRL", "EKF2_AGP0_ID"),
 }
@@ -33,6 +33,8 @@ _IF_LOST: Final = 4  # of GPS_AUTO_SWITCH: the second receiver only where the fi
 _SWITCH: Final = 90
 _SOFT_M_S: Final = 0.5
 _SLOW_MS: Final = 60.0
+_LOWPASS_MS: Final = 1e3 * 2**0.5 / (2.0 * np.pi)  # delay of a Butterworth filter of second order at low frequencies, times its Hz
+_LATE_IMU_MS: Final = 25.0
 
 
 def autopilot(config: Config, folder: Path) -> list[Check]:
@@ -79,6 +81,7 @@ def _ardupilot(answers: Answers, config: Config) -> Iterator[Check]:
     yield from _source_sets(p, config)
     if config.mavlink.fixes:
         yield from _receiver(p, config)
+    yield from _imu(p)
     advice = "set 1 or 3: with 0 the vehicle flies on when its position is lost"
     yield p.check("FS_EKF_ACTION", p.get("FS_EKF_ACTION") != 0, advice, warn=True)
     yield p.check("FS_EKF_THRESH", not p.get("FS_EKF_THRESH") <= 0, "set 0.8: 0 disables the failsafe", warn=True)
@@ -137,6 +140,15 @@ def _source_sets(p: _Parameters, config: Config) -> Iterator[Check]:
     switches = [name.removesuffix("_OPTION") for name in _SWITCHES if p.get(name) == _SWITCH]
     advice = "set RCn_OPTION 90 for a channel of three positions, or switch with MAV_CMD_SET_EKF_SOURCE_SET"
     yield judge("switch of source sets", ", ".join(switches) or "none", warn=not switches, advice=advice)
+
+
+def _imu(p: _Parameters) -> Iterator[Check]:
+    """What is sent has passed a low pass and is stamped when it is sent: fixes seem early by the delay of the gyroscope."""
+    for name in ("INS_GYRO_FILTER", "INS_ACCEL_FILTER"):
+        hz = p.get(name)
+        delay_ms = _LOWPASS_MS / hz if hz > 0 else 0.0
+        advice = f"set 20: at {hz:g} Hz its readings are {delay_ms:.0f} ms late, and stamps of fixes look early"
+        yield p.check(name, not delay_ms > _LATE_IMU_MS, advice, warn=True)
 
 
 def _origin(answers: Answers, config: Config) -> Check:

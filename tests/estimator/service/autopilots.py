@@ -36,6 +36,7 @@ class Autopilot(ABC):
             self.codec.signing.sign_outgoing = True
             self.codec.signing.timestamp = (time.time_ns() - 1_420_070_400_000_000_000) // 10_000
         self.answers_timesync = True
+        self.origin: Any = None  # GPS_GLOBAL_ORIGIN, for who requests it
 
     def boot_us(self) -> int:
         return (time.monotonic_ns() - self.booted_ns) // 1000
@@ -66,6 +67,9 @@ class Autopilot(ABC):
             for message in self.codec.parse_buffer(data) or []:
                 if message.get_type() == "TIMESYNC" and message.tc1 == 0 and self.answers_timesync:
                     self.say(mavlink.MAVLink_timesync_message(self.boot_us() * 1000, message.ts1))
+                asked = message.get_type() == "COMMAND_LONG" and (message.command, message.param1) == (512, 49)
+                if asked and self.origin is not None:
+                    self.say(self.origin)
                 new.append(message)
         self.heard += new
         return new

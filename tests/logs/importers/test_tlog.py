@@ -148,9 +148,9 @@ class Ground:
         return path
 
 
-def fix(boot_us: int, *, h_acc: int = 0, vel: int = 300, cog: int = 9000, ellipsoid: int = 0) -> Any:
+def fix(boot_us: int, *, kind: int = 3, h_acc: int = 0, vel: int = 300, cog: int = 9000, ellipsoid: int = 0) -> Any:
     return mavlink2.MAVLink_gps_raw_int_message(
-        boot_us, 3, 473977420, 85455940, 488000, 150, 200, vel, cog, 12, ellipsoid, h_acc, 2 * h_acc, 400 if h_acc else 0
+        boot_us, kind, 473977420, 85455940, 488000, 150, 200, vel, cog, 12, ellipsoid, h_acc, 2 * h_acc, 400 if h_acc else 0
     )
 
 
@@ -194,6 +194,18 @@ def test_an_ellipsoid_height_that_is_that_above_the_sea_is_none(tmp_path: Path) 
     recording = tlog.read(ground.write(tmp_path))
     assert [m.alt_m for m in recording if isinstance(m, GnssFix)] == pytest.approx([488.0])
     assert any("above sea level" in note for note in recording.notes)
+
+
+def test_without_a_fix_a_stamp_that_is_repeated_is_not_taken(tmp_path: Path) -> None:
+    """ArduPilot sends that of its last fix for as long as there is no other one."""
+    ground = Ground()
+    for k in range(1000):
+        ground.imu(k * 10_000, 5_000_000 + k * 10_000)
+    ground.hear(30_000, fix(5_030_000, kind=3))
+    ground.hear(9_996_000, fix(5_030_000, kind=1))
+    with_fix, without = (m for m in tlog.read(ground.write(tmp_path)) if isinstance(m, GnssFix))
+    assert (with_fix.status, without.status) == (0, -1)
+    assert without.t_ns - with_fix.t_ns == 9_966_000_000
 
 
 def test_of_a_simulated_flight_the_truth_is_that_of_the_simulator(tmp_path: Path) -> None:

@@ -158,6 +158,39 @@ def test_question_and_answer_bound_the_offset_by_half_of_their_time() -> None:
     assert offset.bound_ns < MS // 2
 
 
+def _ask(offset: Offset, now_ns: int, ahead_ns: int, there_ms: int, back_ms: int) -> None:
+    offset.round_trip(now_ns, now_ns + there_ms * MS + ahead_ns, now_ns + (there_ms + back_ms) * MS)
+
+
+def test_a_simulated_clock_that_falls_behind_is_followed_by_the_second_answer() -> None:
+    offset, now_ns = Offset(0), START_NS
+    for _ in range(80):
+        now_ns += SECOND_NS // 4
+        _ask(offset, now_ns, -SECOND_NS, 1, 1)
+    _ask(offset, now_ns + SECOND_NS // 4, -2 * SECOND_NS, 1, 1)
+    assert (offset.ahead_ns, offset.steps) == (-SECOND_NS, 0)
+    _ask(offset, now_ns + SECOND_NS // 2, -2 * SECOND_NS, 3, 1)
+    assert (offset.ahead_ns, offset.steps) == (-2 * SECOND_NS + MS, 1)
+    assert offset.bound_ns == 2 * MS
+
+
+def test_a_simulated_clock_that_is_slow_by_1_percent_is_followed_in_steps() -> None:
+    offset, now_ns = Offset(0), START_NS
+    for k in range(400):
+        now_ns += SECOND_NS // 4
+        offset.round_trip(now_ns, now_ns - SECOND_NS - k * 2_500_000, now_ns)
+        assert offset.ahead_ns is not None
+        assert abs(offset.ahead_ns + SECOND_NS + k * 2_500_000) < 30 * MS
+
+
+def test_answers_that_are_late_by_a_second_are_no_step() -> None:
+    offset, now_ns = Offset(0), START_NS
+    for k in range(80):
+        now_ns += SECOND_NS // 4
+        _ask(offset, now_ns, -SECOND_NS, 1, 1 if k < 60 else 1000)
+    assert (offset.ahead_ns, offset.steps) == (-SECOND_NS, 0)
+
+
 def test_a_foreign_clock_that_drifts_is_followed(world: World, clock: Clock) -> None:
     stamps, t_ns = _stamps(clock), None
     for k in range(40_000):

@@ -18,6 +18,7 @@ from estimator.service.autopilot.output_policy import AutopilotConfig, OutputPol
 from estimator.service.base.clock import Clock
 from estimator.service.daemon import Daemon
 from estimator.service.mavlink.config import MavlinkConfig
+from estimator.service.mavlink.local_frame import LocalOrigin
 from estimator.service.mavlink.link import MavlinkLink
 from estimator.strict_toml import ConfigError
 from logs.wire.codec import Topics
@@ -93,6 +94,9 @@ def _px4(**settings: Any) -> Iterator[tuple[MavlinkLink, _Inbox, Clock, UdpAutop
         closing(UdpAutopilot(kind)) as autopilot,
         _linked(MavlinkConfig(endpoint=f"udpout:127.0.0.1:{autopilot.port}", **settings)) as (link, inbox, clock),
     ):
+        lat, lon, alt_m = ORIGIN.lla
+        here = mavlink.MAVLink_gps_global_origin_message(round(lat * 1e7), round(lon * 1e7), round((alt_m - 47.5) * 1e3))
+        autopilot.origin = here if kind == PX4 else None
         autopilot.until(lambda: link.report()["autopilot"] != "unknown" and autopilot.of("COMMAND_LONG"), "the link knows it")
         yield link, inbox, clock, autopilot
 
@@ -120,10 +124,10 @@ def _soon(condition: Callable[[], object], what: str) -> None:
 
 def test_it_reports_who_it_is_and_asks_for_what_it_needs() -> None:
     with _px4(imu_hz=250.0, gnss_hz=8.0) as (_, _, _, autopilot):
-        autopilot.until(lambda: len(_requested(autopilot.heard)) == 5, "all are asked for")
+        autopilot.until(lambda: len(_requested(autopilot.heard)) == 6, "all are asked for")
         beat = autopilot.of("HEARTBEAT")[0]
         assert (beat.get_srcSystem(), beat.get_srcComponent(), beat.type, beat.autopilot) == (1, 197, 18, 8)
-        wanted = {IMU: 4000.0, GPS: 125_000.0, GPS2: 125_000.0, SYSTEM_TIME: 1e6, ATTITUDE: 500_000.0}
+        wanted = {IMU: 4000.0, GPS: 125_000.0, GPS2: 125_000.0, SYSTEM_TIME: 1e6, ATTITUDE: 500_000.0, EKF_ORIGIN: 1e6}
         assert _requested(autopilot.heard) == wanted
         command = autopilot.of("COMMAND_LONG")[0]
         assert (command.target_system, command.target_component) == (1, 1)
@@ -227,6 +231,35 @@ def test_odometry_for_ardupilot_counts_from_its_origin_and_is_not_to_be_used_bef
         assert link.report()["refused"] == link.report()["defects"] == 0
 
 
+def test_odometry_for_px4_counts_from_its_origin_which_is_asked_for() -> None:
+    """EKF2 takes it so as well: in the simulator it jumped by the 337 m between the origins, and the vehicle left."""
+    with _px4() as (link, _, clock, autopilot):
+        autopilot.until(lambda: "not known" not in link.report()["ekf_origin"], "its origin is known")
+        t_ns = clock.now_ns()
+        link.send([_estimate(t_ns - SECOND)], [])
+        _say_origin(autopilot, (-216.0, 288.0, 10.0))
+        autopilot.until(lambda: "-216 m north, 288 m east" in link.report()["ekf_origin"], "it has moved")
+        link.send([_fused(t_ns), _estimate(t_ns)], [])
+        autopilot.until(lambda: len(autopilot.of("ODOMETRY")) == 2, "odometry")
+        sent = autopilot.of("ODOMETRY")[-1]
+        assert sent.quality > 0
+        assert [sent.x, sent.y, sent.z] == pytest.approx([226.0, -268.0, -40.0], abs=1.0)  # 0.3 % of its sphere
+
+
+def test_until_px4_has_had_time_to_answer_odometry_is_not_to_be_used() -> None:
+    with _px4() as (link, _, clock, autopilot):
+        autopilot.origin, link._local = None, LocalOrigin()
+        t_ns = clock.now_ns()
+        link.send([_fused(t_ns), _estimate(t_ns)], [])
+        autopilot.until(lambda: autopilot.of("ODOMETRY"), "odometry")
+        assert autopilot.of("ODOMETRY")[-1].quality == -1
+        link._since_ns -= 6 * SECOND  # indoors it has none, and takes odometry as it is
+        link.send([_fused(t_ns + SECOND), _estimate(t_ns + SECOND)], [])
+        autopilot.until(lambda: len(autopilot.of("ODOMETRY")) == 2, "odometry")
+        last = autopilot.of("ODOMETRY")[-1]
+        assert (last.quality > 0, last.x, last.y, last.z) == (True, 10.0, 20.0, -30.0)
+
+
 def test_a_change_of_integrity_is_said_once_and_ends_the_use_of_the_odometry() -> None:
     with _px4() as (link, _, clock, autopilot):
         for k, state in enumerate([Alert.USABLE, Alert.DO_NOT_USE, Alert.DO_NOT_USE, Alert.USABLE]):
@@ -306,7 +339,7 @@ def test_nothing_that_is_not_a_number_is_reported_and_nothing_to_nobody() -> Non
 @pytest.mark.parametrize("messages", [("SYSTEM_TIME",), ("HIGHRES_IMU",)])
 def test_after_a_reboot_it_asks_again_and_finds_the_new_clock(messages: tuple[str]) -> None:
     with _px4() as (link, inbox, _, autopilot):
-        autopilot.until(lambda: link.report()["timesync_answers"] and len(_requested(autopilot.heard)) == 5, "all is set up")
+        autopilot.until(lambda: link.report()["timesync_answers"] and len(_requested(autopilot.heard)) == 6, "all is set up")
         autopilot.imu()
         autopilot.booted_ns = time.monotonic_ns() - SECOND
         autopilot.heard.clear()
@@ -316,7 +349,7 @@ def test_after_a_reboot_it_asks_again_and_finds_the_new_clock(messages: tuple[st
                 autopilot.say(mavlink.MAVLink_system_time_message(0, autopilot.boot_us() // 1000))
             else:
                 autopilot.imu()
-            return link.report()["reboots"] == 1 and len(_requested(autopilot.heard)) == 5
+            return link.report()["reboots"] == 1 and len(_requested(autopilot.heard)) == 6
 
         autopilot.until(rebooted, "the reboot is noticed", beats=False)
         got = len(inbox.got)
@@ -329,12 +362,12 @@ def test_after_a_reboot_it_asks_again_and_finds_the_new_clock(messages: tuple[st
 def test_after_a_silence_it_asks_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("estimator.service.mavlink.link._GONE_NS", SECOND // 2)
     with _px4() as (link, _, _, autopilot):
-        autopilot.until(lambda: len(_requested(autopilot.heard)) == 5, "all are asked for")
+        autopilot.until(lambda: len(_requested(autopilot.heard)) == 6, "all are asked for")
         autopilot.listen(0.7)
         autopilot.heard.clear()
         autopilot.heartbeat()
         autopilot.listen(0.2)
-        assert len(_requested(autopilot.heard)) == 5
+        assert len(_requested(autopilot.heard)) == 6
         assert link.report()["reboots"] == 0
 
 

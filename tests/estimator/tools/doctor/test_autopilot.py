@@ -22,6 +22,7 @@ GOOD = {
     "VISO_QUAL_MIN": 20, "VISO_VEL_M_NSE": 1, "VISO_DELAY_MS": 10, "VISO_POS_X": 0, "VISO_POS_Y": 0, "VISO_POS_Z": 0,
     "VISO_ORIENT": 0, "VISO_SCALE": 1, "EK3_SRC1_POSXY": 3, "EK3_SRC1_VELXY": 3, "EK3_SRC2_POSXY": 6, "EK3_SRC2_VELXY": 6,
     "EK3_SRC3_POSXY": 0, "RC9_OPTION": 90, "GPS1_TYPE": 1, "GPS2_TYPE": 0, "GPS_AUTO_SWITCH": 1,
+    "INS_GYRO_FILTER": 20, "INS_ACCEL_FILTER": 20,
 }  # fmt: skip
 GOOD_PX4 = {"EKF2_EV_CTRL": 15, "EKF2_EV_QMIN": 1, "EKF2_EV_DELAY": 0.0, "EKF2_EV_NOISE_MD": 0}
 
@@ -106,6 +107,7 @@ def test_an_autopilot_that_is_set_up_right_has_no_finding() -> None:
         ("VISO_POS_X", 0.3, State.FAIL, "set 0"),
         ("VISO_SCALE", 2.0, State.FAIL, "set 1"),
         ("EK3_SRC2_VELXY", 3, State.FAIL, "set 6"),
+        ("INS_GYRO_FILTER", 4, State.WARN, "56 ms late"),  # a rover's default
     ],
 )
 def test_a_wrong_parameter_is_found_and_what_to_set_is_said(name: str, value: float, state: State, advice: str) -> None:

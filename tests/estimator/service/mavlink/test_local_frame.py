@@ -1,4 +1,4 @@
-"""The estimate in ArduPilot's local frame, against ArduPilot's own way from that frame back to latitude and longitude."""
+"""The estimate in the autopilot's local frame, against its own way from that frame back to latitude and longitude."""
 
 import math
 from typing import Any
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from estimator.service.mavlink.ardupilot_frame import Ekf3Origin
+from estimator.service.mavlink.local_frame import LocalOrigin
 from models import so3
 from models.frames import Origin
 from models.messages import Estimate, Mode, Vec3
@@ -24,8 +24,8 @@ def _estimate(p_n: Vec3, origin: Vec3 | None = MAP.lla, q: Any = (1.0, 0.0, 0.0,
     return Estimate(1, 1, nav, np.eye(15), (0.0, 0.0, 0.0), Mode.AIDED, 0, 1, origin)
 
 
-def _heard(lat_deg: float, lon_deg: float, sea_m: float) -> Ekf3Origin:
-    origin = Ekf3Origin()
+def _heard(lat_deg: float, lon_deg: float, sea_m: float) -> LocalOrigin:
+    origin = LocalOrigin()
     origin.hear(mavlink.MAVLink_gps_global_origin_message(round(lat_deg * 1e7), round(lon_deg * 1e7), round(sea_m * 1e3)))
     return origin
 
@@ -46,6 +46,28 @@ def test_ardupilot_reads_the_position_that_is_sent(away_n: Vec3, origin_n: Vec3)
     pose = _heard(lat0, lon0, sea0).pose(_estimate(away_n), GEOID_M)
     assert pose is not None
     lat, lon, sea = _as_ardupilot_reads(lat0, lon0, sea0, pose[0])
+    np.testing.assert_allclose(MAP.to_ned(lat, lon, sea + GEOID_M), away_n, atol=2e-3)
+
+
+def _as_px4_reads(lat0: float, lon0: float, sea0: float, p: Vec3) -> Vec3:
+    """MapProjection::reproject of PX4, R = 6371 km."""
+    x, y = p[0] / 6_371_000.0, p[1] / 6_371_000.0
+    c, phi0 = math.hypot(x, y), math.radians(lat0)
+    if c == 0.0:
+        return lat0, lon0, sea0 - p[2]
+    lat = math.asin(math.cos(c) * math.sin(phi0) + x * math.sin(c) * math.cos(phi0) / c)
+    turn = math.atan2(y * math.sin(c), c * math.cos(phi0) * math.cos(c) - x * math.sin(phi0) * math.sin(c))
+    return math.degrees(lat), lon0 + math.degrees(turn), sea0 - p[2]
+
+
+@pytest.mark.parametrize("away_n", [(0.0, 0.0, 0.0), (300.0, -200.0, -20.0), (9000.0, 7000.0, -400.0), (-40_000.0, 60_000.0, 90.0)])
+@pytest.mark.parametrize("origin_n", [(0.0, 0.0, 0.0), (250.0, 260.0, 5.0), (-20_000.0, 3000.0, 100.0)])
+def test_px4_reads_the_place_that_is_meant(away_n: Vec3, origin_n: Vec3) -> None:
+    lat0, lon0, ellipsoid0 = MAP.to_geodetic(origin_n)
+    lat0, lon0, sea0 = round(lat0, 7), round(lon0, 7), round(ellipsoid0 - GEOID_M, 3)
+    pose = _heard(lat0, lon0, sea0).pose(_estimate(away_n), GEOID_M, is_px4=True)
+    assert pose is not None
+    lat, lon, sea = _as_px4_reads(lat0, lon0, sea0, pose[0])
     np.testing.assert_allclose(MAP.to_ned(lat, lon, sea + GEOID_M), away_n, atol=2e-3)
 
 
@@ -76,7 +98,7 @@ def test_north_and_down_are_those_of_where_the_vehicle_is() -> None:
 
 
 def test_without_either_origin_there_is_no_pose() -> None:
-    assert Ekf3Origin().pose(_estimate((0.0, 0.0, 0.0)), GEOID_M) is None
+    assert LocalOrigin().pose(_estimate((0.0, 0.0, 0.0)), GEOID_M) is None
     heard = _heard(*MAP.lla)
     assert heard.pose(_estimate((0.0, 0.0, 0.0), None), GEOID_M) is None
     heard.forget()

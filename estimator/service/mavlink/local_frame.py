@@ -1,0 +1,91 @@
+"""The autopilot's local frame, which ODOMETRY is taken to be in: metres from the origin of its EKF, not from that of our map.
+
+GPS_GLOBAL_ORIGIN has the origin, where it had its first fix or where somebody set it, with its height above the sea h0. Both
+project the Earth on a plane as a sphere, and what is sent is projected the same way (lat, lon in degrees, h above the sea):
+
+    ArduPilot (Location.cpp, get_distance_NE)      north = k (lat - lat0),  k = 111318.845 m
+                                                   east  = k (lon - lon0) max(cos((lat + lat0) / 2), 0.01)
+    PX4 (geo.cpp, MapProjection::project)          the azimuthal equidistant projection about the origin, R = 6371000 m:
+                                                   c = arccos(sin lat0 sin lat + cos lat0 cos lat cos(lon - lon0))
+                                                   north = R c / sin c (cos lat0 sin lat - sin lat0 cos lat cos(lon - lon0))
+                                                   east  = R c / sin c  cos lat sin(lon - lon0)
+    both                                           down  = h0 - h
+
+At 35 degrees k is 0.3 % more than WGS-84 has: 3 m in a kilometre. Its north and down are those of the place where the vehicle
+is, ours those of the map's origin: R = C_place C_origin^T R_nb, C the rows north, east, down in ECEF.
+"""
+
+import math
+from typing import Any, Final
+
+import numpy as np
+
+from models import so3
+from models.frames import Origin
+from models.messages import Array, Estimate, Vec3, vec3
+from models.state import X
+
+_METRES_PER_DEGREE: Final = 111_318.845_021_450_34
+_LEAST_SCALE: Final = 0.01  # of a degree of longitude
+_DEGREES: Final = 1e-7
+_METRES: Final = 1e-3
+_PX4_RADIUS_M: Final = 6_371_000.0
+_MOST_LAT_E7, _MOST_LON_E7 = 900_000_000, 1_800_000_000
+
+
+class LocalOrigin:
+    """As the autopilot has sent it."""
+
+    def __init__(self) -> None:
+        self.place: Vec3 | None = None  # degrees, and m above the sea
+
+    def hear(self, message: Any) -> None:
+        """GPS_GLOBAL_ORIGIN. Raises ValueError for what is no place."""
+        lat, lon = message.latitude, message.longitude
+        if abs(lat) > _MOST_LAT_E7 or abs(lon) > _MOST_LON_E7 or lat == lon == 0:
+            raise ValueError(f"latitude, longitude = {lat}, {lon} * 1e-7 deg: is no place")
+        self.place = lat * _DEGREES, lon * _DEGREES, message.altitude * _METRES
+
+    def forget(self) -> None:
+        """There may be another one by now."""
+        self.place = None
+
+    def pose(self, e: Estimate, geoid_m: float, *, is_px4: bool = False) -> tuple[Vec3, Array] | None:
+        """Position in that frame, m, and q_nb; None where its origin, or ours on Earth, is not known.
+
+        geoid_m: the geoid's height above the ellipsoid.
+        """
+        origin, place = Origin.of(e.origin), self.place  # another thread may forget it meanwhile
+        if place is None or origin is None:
+            return None
+        lat0, lon0, sea0 = place
+        lat, lon, ellipsoid = origin.to_geodetic(e.nav[X.P])
+        north, east = (_px4_plane if is_px4 else _ardupilot_plane)(lat0, lon0, lat, lon)
+        turn = Origin(lat, lon, ellipsoid).axes_e @ origin.axes_e.T
+        return (north, east, sea0 - (ellipsoid - geoid_m)), so3.multiply(so3.from_matrix(turn), so3.normalise(e.nav[X.Q]))
+
+    def report(self, ours: tuple[float, float, float] | None, geoid_m: float, *, is_px4: bool = False) -> str:
+        """For the status: where it is from our origin; ours: degrees, and m above the ellipsoid."""
+        place = self.place
+        if place is None:
+            return "not known: ODOMETRY " + ("is from ours" if is_px4 else "has quality -1")
+        if ours is None:
+            return "known, but not ours: ODOMETRY has quality -1; set [map] origin"
+        lat, lon, sea = place
+        north, east, down = vec3(np.round(Origin(*ours).to_ned(lat, lon, sea + geoid_m), 1))
+        return f"{north:g} m north, {east:g} m east, {0.0 - down:g} m above the map's"
+
+
+def _ardupilot_plane(lat0: float, lon0: float, lat: float, lon: float) -> tuple[float, float]:
+    scale = max(math.cos(math.radians(0.5 * (lat + lat0))), _LEAST_SCALE)
+    east_deg = (lon - lon0 + 180.0) % 360.0 - 180.0
+    return _METRES_PER_DEGREE * (lat - lat0), _METRES_PER_DEGREE * scale * east_deg
+
+
+def _px4_plane(lat0: float, lon0: float, lat: float, lon: float) -> tuple[float, float]:
+    phi0, phi, turn = math.radians(lat0), math.radians(lat), math.radians(lon - lon0)
+    north = math.cos(phi0) * math.sin(phi) - math.sin(phi0) * math.cos(phi) * math.cos(turn)
+    east = math.cos(phi) * math.sin(turn)
+    c = math.atan2(math.hypot(north, east), math.sin(phi0) * math.sin(phi) + math.cos(phi0) * math.cos(phi) * math.cos(turn))
+    k = _PX4_RADIUS_M * (c / math.sin(c) if c > 0.0 else 1.0)
+    return k * north, k * east
