@@ -63,19 +63,13 @@ class Seconds(NamedTuple):
     sigma_m: Array
 
 
-def _nothing(_: Fusion, __: int) -> None:
-    pass
-
-
-def run(flight: Flight, config: Config, given: Callable[[Fusion, int], None] = _nothing) -> list[Seconds]:
-    """Every window of a flight. given(fusion, begin_ns): what the filter is given when the dark begins."""
+def run(flight: Flight, config: Config) -> list[Seconds]:
+    """Every window of a flight."""
     begins, windows = sorted(flight.begins_ns), []
     fusion, at = Fusion(config.fusion()), 0
     for k, message in enumerate(flight.messages):
         if at < len(begins) and message.t_ns >= begins[at]:
-            dark = deepcopy(fusion)
-            given(dark, begins[at])
-            windows.append(_dark(dark, flight, k, begins[at]))
+            windows.append(dark(deepcopy(fusion), flight, k, begins[at]))
             at += 1
         if at == len(begins):
             break
@@ -83,7 +77,7 @@ def run(flight: Flight, config: Config, given: Callable[[Fusion, int], None] = _
     return windows
 
 
-def _dark(fusion: Fusion, flight: Flight, first: int, begin_ns: int) -> Seconds:
+def dark(fusion: Fusion, flight: Flight, first: int, begin_ns: int) -> Seconds:
     """From a message on, without GNSS."""
     errors: list[float] = []
     ratios: list[float] = []
