@@ -129,7 +129,8 @@ def test_given_the_first_comes_back_then_it_stands_by_and_takes_over_when_the_se
     assert [s.topic for s in run.statuses if s.kind == "imu"] == ["/imu2", "/imu"]
     states = [(_seconds(h.t_ns), h.sources["/imu"]) for h in run.health]
     assert {state for t, state in states if 41.0 < t < 44.0} == {"silent"}
-    assert {state for t, state in states if 45.0 < t < 53.0} == {"standby"}
+    assert {state for t, state in states if 45.0 < t < 49.5} == {"failed"}  # for 10 s
+    assert {state for t, state in states if 51.0 < t < 53.0} == {"standby"}
     assert states[-1][1] == "leading"
     back = within(run.estimates, 54.0, END_S - 0.5, every=10)
     for part in (E.P, E.V, E.THETA):

@@ -115,7 +115,7 @@ def test_what_no_measurement_of_the_stretch_carries_is_kept_and_follows_the_stat
     lead.cov[wind, own] = 0.5 * lead.cov[level, own]
     lead.cov[own, wind] = lead.cov[wind, own].T
     lead.cov[wind, wind] = 0.25 * lead.cov[level, level] + 0.01 * np.eye(2)
-    lead.slow = lead.slow.moved(np.array([3.0, -2.0]))
+    lead.slow = lead.slow.moved(np.concatenate([np.zeros(wind.start - E.SIZE), [3.0, -2.0]]))
     found, _ = _run(stretch, lead, samples)
     np.testing.assert_allclose(found.x, alone.x)
     np.testing.assert_allclose(found.cov[own, own], alone.cov[own, own])
