@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,7 +30,6 @@ from estimator.sources.source import Aid, SensorRules, order
 from models.messages import Array
 from models.sim.air import blow
 from models.sim.scenario import Scenario, Simulation, simulate
-from models.sim.sensors import GRADES
 from models.sim.trajectory import FixedWing, Multirotor
 from models.state import E, local
 
@@ -45,7 +43,6 @@ _NO_STATES: Final = slice(0, 0)
 
 WINDS_M_S: Final = (2.0, 4.0, 6.0, 8.0)
 GIVEN: Final = {"nothing": (), **{part: (part,) for part in _SHARP}, "all of these": tuple(_SHARP)}
-CALM: Final = "all, no gusts, walks as they are"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,23 +115,21 @@ def _aids(true: _Truth, parts: Sequence[str], t_ns: int) -> Iterator[Aid]:
             )
 
 
-def windows(name: str, wind_m_s: float, *, is_calm: bool) -> dict[str, Seconds]:
-    """The dark minute of a flight, by what the filter is given. is_calm: no gusts, and the walks are those of the IMU."""
-    made_of = air_data.scenario(VEHICLES[name], wind_m_s, vibrates=True, gusts=not is_calm)
+def windows(job: tuple[str, float]) -> dict[str, Seconds]:
+    """The dark minute of a flight, by what the filter is given. job: vehicle and wind, m/s."""
+    name, wind_m_s = job
+    made_of = air_data.scenario(VEHICLES[name], wind_m_s, vibrates=True)
     simulation = simulate(made_of, air_data.seed_of(wind_m_s))
     flight = air_data.flight_of(simulation, vibrates=True)
-    config, grade, begin_ns = flight.config, GRADES[made_of.imu.grade].noise, flight.begins_ns[0]
-    if is_calm:
-        imu = msgspec.structs.replace(config.imu, gyro_walk=grade.gyro_walk, accel_walk=grade.accel_walk)
-        config = msgspec.structs.replace(config, imu=imu, wind=msgspec.structs.replace(config.wind, gust_m_s=0.0))
+    begin_ns = flight.begins_ns[0]
     true = _true(simulation, made_of, wind_m_s, begin_ns)
     last_ns = begin_ns + (AT_S + 1) * 1_000_000_000
     flight = flight._replace(messages=[m for m in flight.messages if m.t_ns < last_ns])
     first = next(k for k, m in enumerate(flight.messages) if m.t_ns >= begin_ns)
-    fusion, found = Fusion(config.fusion()), {}
+    fusion, found = Fusion(flight.config.fusion()), {}
     for message in flight.messages[:first]:
         fusion.handle(message)
-    for case, parts in {CALM: tuple(_SHARP)}.items() if is_calm else GIVEN.items():
+    for case, parts in GIVEN.items():
         dark = deepcopy(fusion)
         for aid in _aids(true, parts, begin_ns):
             dark._history.insert_aid(aid)
@@ -142,17 +137,12 @@ def windows(name: str, wind_m_s: float, *, is_calm: bool) -> dict[str, Seconds]:
     return found
 
 
-def _job(job: tuple[str, float, bool]) -> dict[str, Seconds]:
-    name, wind_m_s, is_calm = job
-    return windows(name, wind_m_s, is_calm=is_calm)
-
-
 def table(processes: int) -> Table:
     """A row for each vehicle and what its filter is given."""
-    jobs = [(name, wind, is_calm) for name in VEHICLES for wind in WINDS_M_S for is_calm in (False, True)]
+    jobs = [(name, wind) for name in VEHICLES for wind in WINDS_M_S]
     found: dict[tuple[str, str], list[Seconds]] = {}
     with ProcessPoolExecutor(processes) as pool:
-        for job, cases in zip(jobs, pool.map(_job, jobs), strict=True):
+        for job, cases in zip(jobs, pool.map(windows, jobs), strict=True):
             print(*job, *(f"{case}: {number(float(w.error_m[AT_S]))} m;" for case, w in cases.items()), flush=True)
             for case, window in cases.items():
                 found.setdefault((job[0], case), []).append(window)

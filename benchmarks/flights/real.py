@@ -4,7 +4,7 @@ python -m benchmarks.flights.real                              everything (make 
 python -m benchmarks.flights.real --quick                      one seed, every third flight
 python -m benchmarks.flights.real --scenarios AX --sets euroc --naive
 python -m benchmarks.flights.real --gnss                       only the flights with GNSS
-python -m benchmarks.flights.real --scenarios AB --sets euroc --imu-every 4        with a quarter of the IMU samples (--imu-mean: averaged)
+python -m benchmarks.flights.real --scenarios AB --sets euroc --imu-every 4        with every fourth IMU sample (--imu-mean: mean)
 python -m benchmarks.flights.real --scenarios AL --sets quad --config tuned.toml   with another noise than the tasks tell
 """
 

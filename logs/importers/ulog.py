@@ -32,7 +32,8 @@ Topic: TypeAlias = Mapping[str, Any]  # field -> column
 
 _MAGIC = b"ULog\x01\x12\x35"
 _WANTED = (
-    "sensor_combined", "sensor_gyro", "sensor_accel", "vehicle_imu", "sensor_selection", "vehicle_air_data", "vehicle_magnetometer", "sensor_mag",
+    "sensor_combined", "sensor_gyro", "sensor_accel", "vehicle_imu", "sensor_selection",
+    "vehicle_air_data", "vehicle_magnetometer", "sensor_mag",
     "vehicle_gps_position", "sensor_gps",
     "airspeed_validated", "airspeed", "distance_sensor",
     "vehicle_attitude", "vehicle_local_position", "vehicle_visual_odometry", "vehicle_mocap_odometry",

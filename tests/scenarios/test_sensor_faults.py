@@ -31,7 +31,11 @@ SENSORS: dict[str, Callable[..., list[Input]]] = {
 BIASES = {"heading": math.radians(30.0), "magnetometer": 2e-5, "velocity_body": 3.0, "range": 10.0, "baro": 3000.0}
 FAULTS = ("stuck", "biased", "negative", "exchanged", "late", "in feet")
 SCALARS = {"range", "baro"}
-NOT_SEEN = {("magnetometer", "late"), ("range", "late"), ("baro", "late")}  # a second late, in gentle loops at a constant height: no harm is done
+NOT_SEEN = {
+    ("magnetometer", "late"),
+    ("range", "late"),
+    ("baro", "late"),
+}  # a second late, in gentle loops at a constant height: no harm is done
 CASES = [
     (kind, fault)
     for kind in SENSORS
