@@ -26,14 +26,14 @@ from logs.importers.recording import Truth
 from models.messages import Array, Estimate, GnssFix, GnssVelocity, Input, Reading
 from models.sim.aids import Gnss
 from models.sim.air import Airspeed, Wind
-from models.sim.scenario import EPOCH_NS, Scenario, simulate
+from models.sim.scenario import EPOCH_NS, Scenario, Simulation, simulate
 from models.sim.sensors import Imu
 from models.sim.trajectory import FixedWing, Multirotor
 from models.state import E, X
 
 LENGTHS_S: Final = (30, 60, 120)
 WINDS_M_S: Final = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0)
-_INSIDE95: Final = 5.991465  # chi-square, 2 degrees of freedom
+INSIDE95: Final = 5.991465  # chi-square, 2 degrees of freedom
 _VIBRATION: Final = 20.0  # times the data sheet's noise
 _LIT_S: Final = 120.0
 _SECOND_NS: Final = 1_000_000_000
@@ -56,10 +56,11 @@ class Flight(NamedTuple):
 
 
 class Seconds(NamedTuple):
-    """A window, by seconds since its begin: size of the error [m] and NEES/2, each (n,)."""
+    """A window, by seconds since its begin: size of the error [m], its NEES and its predicted rms sqrt(tr P) [m], each (n,)."""
 
     error_m: Array
     nees: Array
+    sigma_m: Array
 
 
 def run(flight: Flight, config: Config) -> list[Seconds]:
@@ -68,7 +69,7 @@ def run(flight: Flight, config: Config) -> list[Seconds]:
     fusion, at = Fusion(config.fusion()), 0
     for k, message in enumerate(flight.messages):
         if at < len(begins) and message.t_ns >= begins[at]:
-            windows.append(_dark(deepcopy(fusion), flight, k, begins[at]))
+            windows.append(dark(deepcopy(fusion), flight, k, begins[at]))
             at += 1
         if at == len(begins):
             break
@@ -76,10 +77,11 @@ def run(flight: Flight, config: Config) -> list[Seconds]:
     return windows
 
 
-def _dark(fusion: Fusion, flight: Flight, first: int, begin_ns: int) -> Seconds:
+def dark(fusion: Fusion, flight: Flight, first: int, begin_ns: int) -> Seconds:
     """From a message on, without GNSS."""
     errors: list[float] = []
     ratios: list[float] = []
+    sigmas: list[float] = []
     for message in flight.messages[first:]:
         if message.t_ns > begin_ns + (LENGTHS_S[-1] + 1) * _SECOND_NS or len(errors) > LENGTHS_S[-1]:
             break
@@ -91,7 +93,8 @@ def _dark(fusion: Fusion, flight: Flight, first: int, begin_ns: int) -> Seconds:
                 off, cov = out.nav[X.P][_LEVEL] - true, out.covariance[E.P, E.P][_LEVEL, _LEVEL]
                 errors.append(float(np.linalg.norm(off)))
                 ratios.append(float(off @ np.linalg.solve(cov, off)))
-    return Seconds(np.array(errors), np.array(ratios))
+                sigmas.append(float(np.sqrt(np.trace(cov))))
+    return Seconds(np.array(errors), np.array(ratios), np.array(sigmas))
 
 
 def thor(out: Path) -> Flight:
@@ -103,22 +106,35 @@ def thor(out: Path) -> Flight:
     return Flight(messages, np.array([m.t_ns for m in truth], np.int64), np.array([m.p_n for m in truth]), begins, config)
 
 
-def simulated(vehicle: Multirotor | FixedWing, wind_m_s: float, *, vibrates: bool) -> Flight:
+def scenario(vehicle: Multirotor | FixedWing, wind_m_s: float, *, vibrates: bool, gusts: bool = True) -> Scenario:
     """Two minutes with GNSS and two without; gusts of a sixth of the wind. vibrates: the IMU, as [imu] says by default."""
-    scenario = Scenario(
+    return Scenario(
         duration_s=_LIT_S + LENGTHS_S[-1] + 2.0,
         vehicle=vehicle,
         imu=Imu(grade="hobby", rate_hz=100.0, noise_multiplier=_VIBRATION if vibrates else 1.0),
         gnss=Gnss(rate_hz=5.0),
-        wind=Wind(speed_m_s=wind_m_s, gust_m_s=wind_m_s / 6.0, gust_s=5.0),
+        wind=Wind(speed_m_s=wind_m_s, gust_m_s=wind_m_s / 6.0 if gusts else 0.0, gust_s=5.0),
         airspeed=Airspeed() if isinstance(vehicle, FixedWing) else None,
     )
-    simulation = simulate(scenario, round(10 * wind_m_s))
+
+
+def flight_of(simulation: Simulation, *, vibrates: bool) -> Flight:
+    """What was simulated, and how it is configured."""
     begin = [EPOCH_NS + round(_LIT_S * _SECOND_NS)]
     config = parse(simulation.config_toml)
     if vibrates:
         config = msgspec.structs.replace(config, imu=Config().imu)
     return Flight(simulation.messages, simulation.truth.t_ns, simulation.truth.p_n, begin, config)
+
+
+def simulated(vehicle: Multirotor | FixedWing, wind_m_s: float, *, vibrates: bool) -> Flight:
+    """A flight in this wind, which is its seed too."""
+    return flight_of(simulate(scenario(vehicle, wind_m_s, vibrates=vibrates), seed_of(wind_m_s)), vibrates=vibrates)
+
+
+def seed_of(wind_m_s: float) -> int:
+    """Of a simulated flight."""
+    return round(10 * wind_m_s)
 
 
 def _without_airspeed(config: Config) -> Config:
@@ -174,7 +190,7 @@ def arm(name: str, change: str, out: Path) -> tuple[str, ...]:
         ends = [w.error_m[length] for w in windows if len(w.error_m) > length]
         cells.append(f"{number(float(np.median(ends)))}, {number(max(ends))} ({len(ends)})" if ends else "-")
     nees = np.concatenate([w.nees[1:] for w in windows])
-    return (name, change, str(len(windows)), *cells, number(float(nees.mean() / 2.0)), f"{100.0 * np.mean(nees < _INSIDE95):.0f}")
+    return (name, change, str(len(windows)), *cells, number(float(nees.mean() / 2.0)), f"{100.0 * np.mean(nees < INSIDE95):.0f}")
 
 
 def table(out: Path, processes: int, names: Sequence[str] = FLIGHTS) -> Table:

@@ -4,7 +4,7 @@ python -m benchmarks.flights.real                              everything (make 
 python -m benchmarks.flights.real --quick                      one seed, every third flight
 python -m benchmarks.flights.real --scenarios AX --sets euroc --naive
 python -m benchmarks.flights.real --gnss                       only the flights with GNSS
-python -m benchmarks.flights.real --scenarios AB --sets euroc --imu-every 4        with a quarter of the IMU samples
+python -m benchmarks.flights.real --scenarios AB --sets euroc --imu-every 4        with every fourth IMU sample (--imu-mean: mean)
 python -m benchmarks.flights.real --scenarios AL --sets quad --config tuned.toml   with another noise than the tasks tell
 """
 
@@ -19,7 +19,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from benchmarks.flights import gnss, tables
 from benchmarks.flights.runs import NAIVE, OURS, Job, run
-from benchmarks.flights.tasks import ROOT, SETS, VISION, data_folder, tasks
+from benchmarks.flights.tasks import ROOT, SETS, VISION, Thin, data_folder, tasks
 from benchmarks.tables import Table
 
 FLIGHT_SCENARIOS = "NABDLFXCG"
@@ -37,7 +37,7 @@ def main() -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     estimators = (NAIVE,) if args.naive_only else (OURS, NAIVE) if args.naive else (OURS,)
     sigma = (args.vision_sigma[0], args.vision_sigma[1])
-    imu, config = (args.imu_every, args.imu_gap), str(args.config or "")
+    imu, config = Thin(args.imu_every, args.imu_gap, args.imu_mean), str(args.config or "")
     jobs = [Job(task, estimators, sigma, imu, config) for task in tasks(args.sets, scenarios, seeds, every)]
     runs = run_all(jobs, args.out, args.jobs) if jobs else []
     report = [table.markdown() for table in report_tables(runs)]
@@ -62,6 +62,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--vision", action="store_true", help="only real vision estimates as fixes (and --scenarios)")
     parser.add_argument("--vision-sigma", nargs=2, type=float, default=[0.1, 1.5], metavar=("M", "DEG"))
     parser.add_argument("--imu-every", type=int, default=1, metavar="N", help="every n-th IMU sample alone, not averaged")
+    parser.add_argument("--imu-mean", action="store_true", help="the mean of each n IMU samples in place of every n-th")
     parser.add_argument("--imu-gap", type=float, default=0.0, metavar="S", help="no IMU samples for so long in each second")
     parser.add_argument("--config", type=Path, metavar="TOML", help="in place of the tasks' own, such as what landfix tune wrote")
     parser.add_argument("--gnss", action="store_true", help="only the flights with GNSS (and --scenarios)")

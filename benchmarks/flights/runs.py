@@ -12,7 +12,7 @@ import msgspec
 
 from benchmarks.flights import naive_filter
 from benchmarks.flights.naive_filter import NaiveFilter
-from benchmarks.flights.tasks import Task, make, score, thinned
+from benchmarks.flights.tasks import Task, Thin, make, score, thinned
 from estimator.config import load
 from estimator.replay.replay import replay
 from logs.store.reader import LogReader
@@ -27,13 +27,13 @@ OURS, NAIVE = "landfix", "naive"
 class Job(msgspec.Struct, frozen=True):
     """A task for one or more estimators. vision_sigma: m, degrees, configured for real vision fixes.
 
-    imu: every n-th sample is left, and those of so many seconds in each second are not; config: file in place of the task's own.
+    imu: which of its samples are left; config: file in place of the task's own.
     """
 
     task: Task
     estimators: tuple[str, ...] = (OURS,)
     vision_sigma: tuple[float, float] = (0.1, 1.5)
-    imu: tuple[int, float] = (1, 0.0)
+    imu: Thin = Thin()
     config: str = ""
 
 
@@ -42,8 +42,8 @@ def run(job: Job, folder: Path) -> list[dict[str, Any]]:
     task_file = make(job.task, folder / "tasks", job.vision_sigma)
     if task_file is None:
         return []
-    if job.imu != (1, 0.0):
-        task_file = thinned(task_file, *job.imu)
+    if job.imu != Thin():
+        task_file = thinned(task_file, job.imu)
     config = Path(job.config) if job.config else task_file.with_suffix(".toml")
     return [_scored(job.task, name, task_file, config, folder) for name in job.estimators]
 

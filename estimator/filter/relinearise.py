@@ -8,6 +8,11 @@ measurement, and d_k = x_true,k (-) x_k,
 
 is linear: a Kalman filter and, backward, a smoother give E[d_k | all nu], the trajectory moves by it, and so on until its end
 stays: Gauss-Newton on the whole stretch (Bell 1994). The prior is that of the first time, so nothing is counted twice.
+
+What is not in the stretch (air data, a barometer) has made estimates s beside the state: the wind, a scale, a zero. Of these a
+run keeps what they are given the state, and puts the new state in. With the old x and P, the new x^ and P^,
+
+    s^ = s + C (x^ (-) x),   P^_sx = C P^_xx,   P^_ss = P_ss - C P_xs + C P^_xx C^T,   C = P_sx P_xx^-1
 """
 
 import math
@@ -22,7 +27,7 @@ from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.slow_errors import NO_SLOW_ERRORS, SlowErrors
 from estimator.sources.gating import gate
 from estimator.sources.source import Aid
-from models import imu, so3
+from models import cholesky, imu, so3
 from models.measurements import Measurement, mahalanobis
 from models.messages import Array
 from models.state import E, X, carried, local, retract
@@ -132,8 +137,32 @@ def relinearise(stretch: Stretch, found: Eskf, samples: ImuBuffer) -> tuple[Eskf
         if stays:
             changed, count = _distance2(end, found.x) >= _CHANGES or not stretch.path, len(stretch.taken)
             moved_at = count if changed else stretch.moved_at
+            end = with_estimated(end, found, stretch)
             return end, replace(stretch, path=tuple(path), sigma=_sigma(end), run_at=count, moved_at=moved_at)
     return None
+
+
+def with_estimated(end: Eskf, found: Eskf, stretch: Stretch) -> Eskf:
+    """The result of a run, with the blocks of `found` that no measurement of the stretch carries; kept poses are left out."""
+    carried_by = {slow.block for taken in stretch.taken for slow in taken.aid.slow_errors}
+    blocks = [b for b in found.slow.columns if b not in carried_by and b not in found.clones]
+    if not blocks:
+        return end
+    for block in (b for b in blocks if b in end.slow.columns):
+        end.forget(block)
+    x, kept = slice(0, E.SIZE), np.concatenate([np.r_[found.slow.columns[b]] for b in blocks])
+    sigma, off = np.sqrt(np.diag(found.cov)[x]), local(found.x, end.x)
+    p_xs = found.cov[x, kept]
+    by = np.linalg.solve(found.cov[x, x] / np.outer(sigma, sigma), p_xs / sigma[:, np.newaxis]).T / sigma
+    by_end = by.copy()  # of an error about the new attitude
+    by_end[:, E.THETA] = by[:, E.THETA] @ so3.right_jacobian_inverse(off[E.THETA])
+    cross = by_end @ end.cov[x]
+    own = found.cov[np.ix_(kept, kept)] - by @ p_xs + cross[:, x] @ by_end.T
+    end.cov = np.block([[end.cov, cross.T], [cross, own]])
+    cholesky.symmetrise(end.cov)
+    shift = np.concatenate([np.zeros(len(end.slow.mean)), by @ off])
+    end.slow = end.slow.joined(blocks, found.slow).moved(shift)
+    return end
 
 
 def _distance2(end: Eskf, x: Array) -> float:

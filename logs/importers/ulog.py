@@ -1,6 +1,7 @@
 """PX4 logs (.ulg), by pyulog.
 
     sensor_combined, else sensor_gyro with sensor_accel  ->  /imu            vehicle_air_data  ->  /baro
+    vehicle_imu of those that sensor_selection does not name, where logged fast enough        ->  /imu2, /imu3
     vehicle_magnetometer, else sensor_mag                ->  /mag
     vehicle_gps_position, else sensor_gps                ->  /gnss, /gnss/velocity, with two antennas /heading
     *_groundtruth of a simulation, else the estimate of the autopilot       ->  /truth
@@ -31,7 +32,8 @@ Topic: TypeAlias = Mapping[str, Any]  # field -> column
 
 _MAGIC = b"ULog\x01\x12\x35"
 _WANTED = (
-    "sensor_combined", "sensor_gyro", "sensor_accel", "vehicle_air_data", "vehicle_magnetometer", "sensor_mag",
+    "sensor_combined", "sensor_gyro", "sensor_accel", "vehicle_imu", "sensor_selection",
+    "vehicle_air_data", "vehicle_magnetometer", "sensor_mag",
     "vehicle_gps_position", "sensor_gps",
     "airspeed_validated", "airspeed", "distance_sensor",
     "vehicle_attitude", "vehicle_local_position", "vehicle_visual_odometry", "vehicle_mocap_odometry",
@@ -43,6 +45,7 @@ _FLOW = (
     "distance_m", "integration_timespan_us", "quality",
 )  # fmt: skip
 _ATTITUDE_GAP_NS = 200_000_000
+_SLOWEST_IMU_NS = 50_000_000  # of another IMU; PX4 logs them at 2 Hz by default
 _FIX_3D = 3  # fix_type
 _SYNTHETIC = 4  # AirspeedValidated.airspeed_source: no sensor; below 1: ground speed less wind, none
 _DOWNWARDS = 25  # ROTATION_DOWNWARD_FACING
@@ -65,6 +68,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     aids += [*_airspeed(topics, clock), *_range(log.data_list, clock)]
     aids += [*_attitude(topics, clock), *_odometry(topics, clock, notes)]
     aids += _flow(topics, clock, [imu, *aids], notes)
+    others = _other_imus(log.data_list, clock, notes)
     truth, origin = _truth(topics, receiver, clock, notes)
     delay_s = float(log.initial_parameters.get("EKF2_GPS_DELAY", 0.0)) * 1e-3
     if receiver is not None and np.any(receiver.get("timestamp_sample", 0)):
@@ -74,7 +78,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     altitude = "above the ellipsoid where PX4 reports it, else above mean sea level"
     settings = Settings(gnss_delay_s=delay_s, origin=origin if receiver else None, altitude=altitude)
     reference = recording.AUTOPILOT if truth and not _simulated(topics) else ""
-    return Recording.of((*aids, imu, *([truth] if truth else [])), settings, notes, reference)
+    return Recording.of((*aids, imu, *others, *([truth] if truth else [])), settings, notes, reference)
 
 
 def _receiver(data: Sequence[Any], notes: list[str]) -> Topic | None:
@@ -205,6 +209,26 @@ def _imu(source: Path, topics: Mapping[str, Topic], clock_us: int, notes: list[s
         raise LogError(f"{source.name}: no IMU in it (sensor_combined, or sensor_gyro with sensor_accel)")
     notes += sensors.check_imu(gyro_b, accel_b, source.name) + sensors.check_rate(t_ns, source.name)
     return recording.imu(t_ns, arrived_ns, gyro_b, accel_b)
+
+
+def _other_imus(data: Sequence[Any], clock_us: int, notes: list[str]) -> list[Stream]:
+    """Those besides the autopilot's choice: increments over dt, whose means are valid in the middle of it."""
+    chosen = [d.data["gyro_device_id"][0] for d in data if d.name == "sensor_selection" and "gyro_device_id" in d.data]
+    if not chosen:
+        return []
+    streams: list[Stream] = []
+    for topic in (d.data for d in data if d.name == "vehicle_imu" and d.data["gyro_device_id"][0] != chosen[0]):
+        t_ns, arrived_ns = _times(topic, clock_us)
+        turn_us, push_us = (topic[f"delta_{part}_dt"].astype(np.int64) for part in ("angle", "velocity"))
+        rows = (turn_us > 0) & (push_us > 0)
+        if np.count_nonzero(rows) < 2 or np.median(np.diff(t_ns[rows])) > _SLOWEST_IMU_NS:
+            notes.append("another IMU (vehicle_imu) is logged too slowly to take over: SDLOG_PROFILE with bit 4 (high rate)")
+            continue
+        gyro_b = _vector(topic, *(f"delta_angle[{k}]" for k in range(3)))[rows] / (1e-6 * turn_us[rows, np.newaxis])
+        accel_b = _vector(topic, *(f"delta_velocity[{k}]" for k in range(3)))[rows] / (1e-6 * push_us[rows, np.newaxis])
+        middle_ns = t_ns[rows] - 500 * turn_us[rows]
+        streams.append(recording.imu(middle_ns, arrived_ns[rows], gyro_b, accel_b, f"/imu{len(streams) + 2}"))
+    return streams
 
 
 def _place(topic: Topic) -> tuple[Array, Array]:

@@ -33,6 +33,7 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
     origin: latitude and longitude in degrees, height above the WGS-84 ellipsoid in m; without it the Earth stands still and
     there is no GNSS (geographic = false). ticks_hz: rate of the clock messages that let an estimator notice a silent IMU.
+    other_imus: in the same place as the first, on /imu2, /imu3 and so on.
     """
 
     name: str = "scenario"
@@ -42,6 +43,7 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     ticks_hz: Rate | None = None
     vehicle: Multirotor | FixedWing = msgspec.field(default_factory=Multirotor)
     imu: Imu = msgspec.field(default_factory=Imu)
+    other_imus: tuple[Imu, ...] = ()
     gnss: Gnss | None = None
     pose_fix: PoseFixes | None = None
     cameras: Cameras | None = None
@@ -98,7 +100,7 @@ class Simulation:
 
 def simulate(scenario: Scenario, seed: int) -> Simulation:
     """One run of the scenario. Raises ValueError for a fault that asks for what the scenario does not have."""
-    for_course, for_imu, for_gnss, for_fixes, for_air = np.random.default_rng(seed).spawn(5)
+    for_course, for_imu, for_gnss, for_fixes, for_air, for_others = np.random.default_rng(seed).spawn(6)
     origin = Origin(*scenario.origin) if scenario.geographic else None
     air = blow(scenario.wind, for_air) if scenario.wind else None
     trajectory = build(scenario.vehicle, scenario.duration_s, for_course, air)
@@ -114,9 +116,14 @@ def simulate(scenario: Scenario, seed: int) -> Simulation:
         aids += fixes
     if scenario.airspeed:
         aids += read_airspeed(scenario.airspeed, air, t_ns, EPOCH_NS, motion.v_n, motion.R_nb, for_air)
+    for k, imu in enumerate(scenario.other_imus):
+        at_ns = _stamps(imu.rate_hz, scenario.duration_s)
+        there = trajectory.at(np.asarray((at_ns - EPOCH_NS) * 1e-9, dtype=np.float64))
+        felt = measure(imu, there, origin, (at_ns[1] - at_ns[0]) * 1e-9, for_others)
+        aids += _imu_messages(imu, at_ns, felt, _other_topic(k))
     ticks = [Tick(t, t) for t in _stamps(scenario.ticks_hz, scenario.duration_s).tolist()] if scenario.ticks_hz else []
     # The sort is stable: of messages arriving together the aids come first, the tick last.
-    messages = in_order([*aids, *_imu_messages(scenario.imu, t_ns, record), *ticks])
+    messages = in_order([*aids, *_imu_messages(scenario.imu, t_ns, record, _topic(ImuSample)), *ticks])
     for fault in scenario.faults:
         messages = fault.apply(messages, EPOCH_NS, origin, seed)
     noise = GRADES[scenario.imu.grade].noise
@@ -129,10 +136,10 @@ def _stamps(rate_hz: float, duration_s: float) -> NDArray[np.int64]:
     return EPOCH_NS + np.arange(0, round(duration_s * 1e9) + 1, period_ns, dtype=np.int64)
 
 
-def _imu_messages(imu: Imu, t_ns: NDArray[np.int64], record: ImuRecord) -> list[Input]:
+def _imu_messages(imu: Imu, t_ns: NDArray[np.int64], record: ImuRecord, topic: str) -> list[Input]:
     delay_ns = round(imu.delay_s * 1e9)
     rows = zip(t_ns.tolist(), map(tuple, record.gyro_b.tolist()), map(tuple, record.accel_b.tolist()), strict=True)
-    return [ImuSample(t, t + delay_ns, gyro_b, accel_b) for t, gyro_b, accel_b in rows]
+    return [ImuSample(t, t + delay_ns, gyro_b, accel_b, topic) for t, gyro_b, accel_b in rows]
 
 
 def _truth(t_ns: NDArray[np.int64], motion: Motion, record: ImuRecord) -> Truth:
@@ -154,7 +161,8 @@ def _config_toml(scenario: Scenario, noise: ImuNoise) -> str:
     """The landfix configuration that knows of these sensors what an engineer would: grade, lever arm, delay and origin."""
     lines = ["[imu]", 'axes = "flu"']
     lines += [f"{name} = {value!r}" for name, value in msgspec.structs.asdict(noise).items()]
-    lines += ["", "[inputs]", f'imu = "{_topic(ImuSample)}"']
+    imus = [f'"{topic}"' for topic in (_topic(ImuSample), *map(_other_topic, range(len(scenario.other_imus))))]
+    lines += ["", "[inputs]", f"imu = {imus[0]}" if len(imus) == 1 else f"imu = [{', '.join(imus)}]"]
     if scenario.gnss:
         lines += [f'gnss = "{_topic(GnssFix)}"', f'gnss_velocity = "{_topic(GnssVelocity)}"']
     if scenario.pose_fix:
@@ -173,3 +181,8 @@ def _config_toml(scenario: Scenario, noise: ImuNoise) -> str:
 def _topic(kind: type[msgspec.Struct]) -> str:
     """The topic that messages of this kind have by default."""
     return next(str(f.default) for f in msgspec.structs.fields(kind) if f.name == "topic")
+
+
+def _other_topic(k: int) -> str:
+    """The topic of the k-th IMU besides the first."""
+    return f"{_topic(ImuSample)}{k + 2}"

@@ -160,3 +160,15 @@ def range_down(
             held = scale * (-truth.p_n[k, 2] - ground_m) / truth.R_nb[k][2, 2] + 0.05 * rng.standard_normal()
         readings.append(Reading(t, t, "/range", "range", (float(held),)))
     return readings
+
+
+def barometer(truth: Truth, *, seed: int = 0) -> list[Input]:
+    """Pressure of the standard atmosphere, 10 Hz, noise of 0.3 m."""
+    rng = np.random.default_rng(seed)
+    step = round(1e8 / float(truth.t_ns[1] - truth.t_ns[0]))
+    heights = HOME.alt_m - truth.p_n[::step, 2] + 0.3 * rng.standard_normal(len(truth.t_ns[::step]))
+    pressures = 101_325.0 * (1.0 - heights / 44_330.8) ** (1.0 / 0.190263)
+    return [
+        Reading(t, t, "/baro", "baro", (pressure,))
+        for t, pressure in zip(truth.t_ns[::step].tolist(), pressures.tolist(), strict=True)
+    ]

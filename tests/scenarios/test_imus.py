@@ -120,6 +120,24 @@ def test_given_one_of_two_fails_in_the_dark_then_the_other_takes_over(journey: R
     _check(_run(messages, _config("/imu", "/imu2")), journey, FAULTS[name].says)
 
 
+def test_given_the_first_comes_back_then_it_stands_by_and_takes_over_when_the_second_fails(journey: Ride) -> None:
+    """The first is silent from 40 to 44 s, the second from 53 s on."""
+    messages = _lit([*journey.messages, *_other(journey, "/imu2", 1)])
+    silent = {"/imu": (FAULT_S, 44.0), "/imu2": (53.0, END_S)}
+    heard = [m for m in messages if not (isinstance(m, ImuSample) and silent[m.topic][0] < _seconds(m.t_ns) < silent[m.topic][1])]
+    run = _run(heard, _config("/imu", "/imu2"))
+    assert [s.topic for s in run.statuses if s.kind == "imu"] == ["/imu2", "/imu"]
+    states = [(_seconds(h.t_ns), h.sources["/imu"]) for h in run.health]
+    assert {state for t, state in states if 41.0 < t < 44.0} == {"silent"}
+    assert {state for t, state in states if 45.0 < t < 49.5} == {"failed"}  # for 10 s
+    assert {state for t, state in states if 51.0 < t < 53.0} == {"standby"}
+    assert states[-1][1] == "leading"
+    back = within(run.estimates, 54.0, END_S - 0.5, every=10)
+    for part in (E.P, E.V, E.THETA):
+        assert _nees(back, journey, part) < 4.0
+    assert np.linalg.norm(error(back[-1], journey.truth)[E.P]) < 2.0
+
+
 def test_given_one_of_three_contradicts_the_others_then_it_is_the_wrong_one(journey: Ride) -> None:
     others = [*_other(journey, "/imu2", 1), *_other(journey, "/imu3", 2)]
     messages = BIASED.of(_lit([*journey.messages, *others]))

@@ -16,7 +16,7 @@ from models.sim.scenario import EPOCH_NS
 from models.sim.sensors import GRADES, Imu
 from models.state import E
 from tests.estimator.scenes import Run, by_arrival, error, within
-from tests.scenarios.senses import HOME, Ride, heading, magnetometer, range_down, ride, velocity_body
+from tests.scenarios.senses import HOME, Ride, barometer, heading, magnetometer, range_down, ride, velocity_body
 
 BEGIN_S, DARK_S, END_S = 22.0, 40.0, 65.0  # of the fault, of the dark
 LATE_NS = 1_000_000_000
@@ -26,15 +26,21 @@ SENSORS: dict[str, Callable[..., list[Input]]] = {
     "magnetometer": magnetometer,
     "velocity_body": velocity_body,
     "range": range_down,
+    "baro": barometer,
 }
-BIASES = {"heading": math.radians(30.0), "magnetometer": 2e-5, "velocity_body": 3.0, "range": 10.0}
+BIASES = {"heading": math.radians(30.0), "magnetometer": 2e-5, "velocity_body": 3.0, "range": 10.0, "baro": 3000.0}
 FAULTS = ("stuck", "biased", "negative", "exchanged", "late", "in feet")
-NOT_SEEN = {("magnetometer", "late"), ("range", "late")}  # a second late, in gentle loops at a constant height: no harm is done
+SCALARS = {"range", "baro"}
+NOT_SEEN = {
+    ("magnetometer", "late"),
+    ("range", "late"),
+    ("baro", "late"),
+}  # a second late, in gentle loops at a constant height: no harm is done
 CASES = [
     (kind, fault)
     for kind in SENSORS
     for fault in FAULTS
-    if not (fault == "exchanged" and kind == "range") and (fault != "in feet" or kind == "range")
+    if not (fault == "exchanged" and kind in SCALARS) and (fault != "in feet" or kind == "range")
 ]
 
 

@@ -338,7 +338,7 @@ class Alignment:
         begun = initialise.start_from_heading(self.t_ns, z, at, aid, now, self.constants, config)
         if begun is not None:
             self.hypotheses, self.stretch = begun, Stretch.of(begun.lead)
-            self.without_sensor = WithoutSensor(*self._all_headings(z, at), aid.topic, self.t_ns)
+            self.without_sensor = WithoutSensor(*self._all_headings(z, at), aid.topic, self.t_ns, z)
         return begun is not None
 
     def _check_sensor(self, aid: Aid, z: Measurement, samples: ImuBuffer, gyro_b: Array) -> None:
@@ -350,7 +350,7 @@ class Alignment:
             if beside is None and not self.is_aligned:
                 self.without_sensor = WithoutSensor(self.hypotheses.copy(), self.stretch, aid.topic, self.t_ns)
         elif beside is not None and isinstance(z, Position | Pose | Velocity):
-            beside.take(aid, z, gyro_b, self.hypotheses)
+            beside.take(aid, z, gyro_b, self.hypotheses, at_rest=self._rests(beside, z, samples))
             known = self.is_aligned and initialise.aligned(beside.bank, config)
             if beside.is_shown or (known and beside.disagrees(self.hypotheses.lead)):
                 self.hypotheses, self.is_aligned, self.shows_unaligned = beside.bank, False, self.shown is not None
@@ -361,14 +361,25 @@ class Alignment:
             elif aid.absolute and isinstance(z, Position | Pose) and self.t_ns - beside.began_ns > _BESIDE_NS:
                 self._begin_beside(beside, z, samples)
 
+    def _rests(self, beside: WithoutSensor, z: Measurement, samples: ImuBuffer) -> bool:
+        """Whether neither the IMU nor the positions show that the vehicle moves."""
+        if beside.since is None:
+            return False
+        if isinstance(z, Position | Pose) and _differ(z, beside.since):
+            beside.since = None
+            return False
+        stretch = self._stretch(samples)
+        return stretch is not None and initialise.level(self.t_ns, stretch, self.config.initialise).still
+
     def _begin_beside(self, beside: WithoutSensor, z: Position | Pose, samples: ImuBuffer) -> None:
         """At rest the headings begin anew, before they blur."""
         beside.began_ns, stretch = self.t_ns, self._stretch(samples)
         if stretch is None:
             return
         at = initialise.level(self.t_ns, stretch, self.config.initialise)
-        if at.still:
+        if at.still and beside.since is not None:
             beside.bank, beside.stretch = self._all_headings(z, at)
+        beside.since = z if at.still else None
 
     def _all_headings(self, z: Position | Pose, at: Level) -> tuple[Hypotheses, Stretch]:
         """The bank of headings at a position fix, and the stretch that will confirm one of them."""
@@ -384,9 +395,7 @@ class Alignment:
         """Whether a position fix is elsewhere than the first one of what was taken for rest; then it was none."""
         if self.still is None or not isinstance(z, Pose | Position):
             return False
-        first, axes = self.still.since, slice(0, _XYZ)
-        sigma = np.sqrt(np.diag(z.noise)[axes] + np.diag(first.noise)[axes])
-        if (np.abs(z.z_n - first.z_n) < _MOVED_SIGMA * sigma).all():
+        if not _differ(z, self.still.since):
             return False
         self.still = None
         return True
@@ -399,3 +408,10 @@ class Alignment:
         if end - begin < _FEWEST_SAMPLES or samples.t_ns[end - 1] - samples.t_ns[begin] < 0.5 * span_ns:
             return None
         return samples.u[begin:end]
+
+
+def _differ(z: Position | Pose, first: Position | Pose) -> bool:
+    """Whether two positions are too far apart for a vehicle that rests."""
+    axes = slice(0, _XYZ)
+    sigma = np.sqrt(np.diag(z.noise)[axes] + np.diag(first.noise)[axes])
+    return not bool((np.abs(z.z_n - first.z_n) < _MOVED_SIGMA * sigma).all())

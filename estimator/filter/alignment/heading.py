@@ -27,7 +27,7 @@ from estimator.sources.gating import gate
 from estimator.sources.source import Aid
 from models import so3
 from models.frames import GRAVITY
-from models.measurements import Measurement, Pose, Velocity
+from models.measurements import Measurement, Pose, Position, Velocity
 from models.messages import Array
 from models.state import E, X, local
 
@@ -91,23 +91,30 @@ class WithoutSensor:
         odds <- max(odds + ln p(z | without) - ln p(z | with), ln e)
 
     A bank that has just begun knows less of the velocity; that is no evidence for the sensor, so odds are never below ln e.
+    At rest no reading is evidence: the noise of GNSS alone would sooner or later refute every sensor.
+    since: the position at which the vehicle may rest, None where it has moved.
     """
 
     bank: Hypotheses
     stretch: Stretch | None
     topic: str
     began_ns: int
+    since: Position | Pose | None = None
     odds: float = math.log(_WRONG_SENSORS)
 
     def copy(self) -> "WithoutSensor":
         """An independent one in the same state."""
-        return WithoutSensor(self.bank.copy(), self.stretch, self.topic, self.began_ns, self.odds)
+        return WithoutSensor(self.bank.copy(), self.stretch, self.topic, self.began_ns, self.since, self.odds)
 
-    def take(self, aid: Aid, z: Measurement, gyro_b: Array, trusting: Hypotheses) -> None:
+    def take(self, aid: Aid, z: Measurement, gyro_b: Array, trusting: Hypotheses, *, at_rest: bool) -> None:
         """Fuse a measurement of another sensor, which those who trust this one have not fused yet."""
-        gained = initialise.evidence(self.bank, aid, z, gyro_b) - initialise.evidence(trusting, aid, z, gyro_b)
-        self.odds = max(self.odds + gained, math.log(_WRONG_SENSORS))
+        if not at_rest:
+            gained = initialise.evidence(self.bank, aid, z, gyro_b) - initialise.evidence(trusting, aid, z, gyro_b)
+            self.odds = max(self.odds + gained, math.log(_WRONG_SENSORS))
         initialise.weigh(self.bank, aid, z, gyro_b)
+        if at_rest:
+            for member in self.bank.members:
+                member.weight = 0.0
         self.stretch = self.stretch.also(aid, z, gyro_b) if self.stretch is not None else None
 
     @property

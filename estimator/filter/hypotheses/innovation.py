@@ -1,7 +1,7 @@
 """A measurement seen from one filter, with the systematic errors that it carries."""
 
 from estimator.filter.eskf import Eskf, Innovation
-from estimator.sources.air.through_air import AirVelocity, DragForce
+from estimator.sources.air.through_air import AirVelocity, DragForce, is_scale
 from estimator.sources.air.wind import WIND
 from estimator.sources.source import Aid
 from models.measurements import Measurement
@@ -36,4 +36,5 @@ def innovation(eskf: Eskf, aid: Aid, z: Measurement, gyro_b: Array) -> Innovatio
                 eskf.zero(slow.block, eskf.innovation(z, gyro_b, [block]))
     if isinstance(z, AirVelocity | DragForce):
         z = z.in_wind(eskf.slow.of(WIND))
+        carried = [(block, z.by_scale(eskf.x) if is_scale(block) else jacobian) for block, jacobian in carried]
     return eskf.innovation(z, gyro_b, carried)

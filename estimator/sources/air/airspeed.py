@@ -12,7 +12,7 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
-from estimator.sources.air.through_air import AirVelocity, density_ratio
+from estimator.sources.air.through_air import AirVelocity, density_ratio, scale_of
 from estimator.sources.air.wind import WindConfig, estimated, wind_errors
 from estimator.sources.source import FALSE_VELOCITY_M_S, Aid, Refusal, SensorRules, SlowError, log_false, order
 from models.frames import Origin
@@ -67,7 +67,7 @@ class AirspeedConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
             return self._velocity(speed, sigma, origin)
 
         z, t_ns = self._velocity(speed, sigma, None), reading.t_ns - round(self.delay_s * 1e9)
-        scale = estimated(f"{reading.topic}.scale", np.array([self.scale_sigma]), np.eye(len(z.rows))[:, :1] * speed)
+        scale = estimated(scale_of(reading.topic), np.array([self.scale_sigma]), np.eye(len(z.rows))[:, :1] * speed)
         slip = speed * math.radians(self.sideslip_deg)
         sideslip = SlowError(f"{reading.topic}.sideslip", np.array([[slip**2]]), self.sideslip_s, np.array([[0.0], [1.0]]))
         return Aid(

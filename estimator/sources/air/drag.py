@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Meta
 from msgspec.structs import replace
 
-from estimator.sources.air.through_air import SEA_LEVEL_KG_M3, DragForce
+from estimator.sources.air.through_air import SEA_LEVEL_KG_M3, DragForce, scale_of
 from estimator.sources.air.wind import WindConfig, estimated, wind_errors
 from estimator.sources.source import FALSE_VELOCITY_M_S, Aid, SourceRules, asked
 from models.frames import GRAVITY
@@ -55,5 +55,5 @@ def felt(aid: Aid, u: Array, config: DragConfig) -> tuple[Aid, DragForce]:
     z = DragForce(u[:, _ACROSS].mean(axis=0), config.sigma_m_s2, config.momentum_1_s, square)
     through_air, by_force = z.velocity(z.f_b)
     tilt = estimated(f"{TOPIC}.tilt", np.full(2, GRAVITY * math.radians(config.tilt_deg)), by_force)
-    scale = estimated(f"{TOPIC}.scale", np.array([config.coefficient_sigma]), through_air[:, np.newaxis])
+    scale = estimated(scale_of(TOPIC), np.array([config.coefficient_sigma]), through_air[:, np.newaxis])
     return replace(aid, slow_errors=(tilt, scale, *aid.slow_errors)), z

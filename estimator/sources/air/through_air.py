@@ -7,7 +7,9 @@ Of z_b some components are given. A pitot tube gives the first; of a multirotor 
     f = -(k + (rho / 2 B) |u|) u,   u = (z_x, z_y)                           (PX4 EKF2: MCOEF k [1/s], BCOEF B [kg/m^2])
     u = -m(|f|) f / |f|,            m(f) = (sqrt(k^2 + 4 c f) - k) / 2 c,   c = rho / 2 B
 
-The wind is estimated beside the state: `in_wind` puts the present estimate in, about which the innovation is linearised.
+The wind is estimated beside the state: `in_wind` puts the present estimate in, about which the innovation is linearised. So is
+the scale s of the sensor, z_b = (1 + s) u + n, with d z / d s = u of the estimate. The reading in its place would have n in it,
+and s would follow the noise: by E[n^2] / E[z^2], half of it for a multirotor that vibrates (errors in variables; Fuller 1987).
 """
 
 import math
@@ -25,6 +27,17 @@ SEA_LEVEL_KG_M3 = 1.225
 _CALM = (0.0, 0.0)
 _ACROSS = np.arange(2)
 _TINY = 1e-9
+_SCALE = ".scale"
+
+
+def scale_of(topic: str) -> str:
+    """The block of a sensor's scale."""
+    return topic + _SCALE
+
+
+def is_scale(block: str) -> bool:
+    """Whether a block is the scale of a sensor of motion through the air."""
+    return block.endswith(_SCALE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,6 +52,17 @@ class AirVelocity:
     def in_wind(self, wind_n: Array) -> Self:
         """The same where the wind is estimated to be this."""
         return replace(self, wind_n=(float(wind_n[0]), float(wind_n[1])))
+
+    def by_scale(self, x: Array) -> Array:
+        """d z / d s, (m, 1): along the nose, the velocity through the air at the state x; the tube measures nothing else."""
+        h = self.through_air(x)[self.rows, np.newaxis]
+        h[self.rows > 0] = 0.0
+        return h
+
+    def through_air(self, x: Array) -> Array:
+        """R^T (v - w), (3,)."""
+        u: Array = so3.matrix(x[X.Q]).T @ (x[X.V] - np.array([*self.wind_n, 0.0]))
+        return u
 
     def evaluate(self, x: Array, _: Array, /) -> tuple[Array, Array]:
         """nu = z - R^T v, to which the wind is added as an error of z; H_v = R^T, H_theta = [R^T (v - w)]x. See Measurement."""
@@ -75,6 +99,10 @@ class DragForce:
     def in_wind(self, wind_n: Array) -> Self:
         """The same where the wind is estimated to be this."""
         return replace(self, wind_n=(float(wind_n[0]), float(wind_n[1])))
+
+    def by_scale(self, x: Array) -> Array:
+        """d z / d s, (2, 1): the velocity through the air at the state x."""
+        return self._through_air(x).through_air(x)[_ACROSS, np.newaxis]
 
     def velocity(self, f_b: Array) -> tuple[Array, Array]:
         """u (2,) through the air, m/s, of a force f (2,), m/s^2, and d u / d f (2, 2), s."""

@@ -104,3 +104,22 @@ def test_a_stretch_does_not_grow_without_end(simulation: Simulation) -> None:
     stretch, _, _ = _flown(simulation)
     assert not stretch.is_long(stretch.t_ns + 100_000_000_000)
     assert stretch.is_long(stretch.t_ns + 121_000_000_000)
+
+
+def test_what_no_measurement_of_the_stretch_carries_is_kept_and_follows_the_state(simulation: Simulation) -> None:
+    """A wind estimated beside the state, half of whose error is that of the velocity."""
+    stretch, lead, samples = _flown(simulation, off_rad=0.5)
+    alone, _ = _run(stretch, lead, samples)
+    lead.consider("wind", np.eye(2), np.inf, np.full(2, 1e-9))
+    level, wind, own = slice(E.V.start, E.V.start + 2), lead.slow.columns["wind"], slice(0, E.SIZE)
+    lead.cov[wind, own] = 0.5 * lead.cov[level, own]
+    lead.cov[own, wind] = lead.cov[wind, own].T
+    lead.cov[wind, wind] = 0.25 * lead.cov[level, level] + 0.01 * np.eye(2)
+    lead.slow = lead.slow.moved(np.concatenate([np.zeros(wind.start - E.SIZE), [3.0, -2.0]]))
+    found, _ = _run(stretch, lead, samples)
+    np.testing.assert_allclose(found.x, alone.x)
+    np.testing.assert_allclose(found.cov[own, own], alone.cov[own, own])
+    np.testing.assert_allclose(found.slow.of("wind"), [3.0, -2.0] + 0.5 * local(lead.x, alone.x)[level], rtol=1e-6)
+    at = found.slow.columns["wind"]
+    np.testing.assert_allclose(found.cov[at, at], 0.25 * alone.cov[level, level] + 0.01 * np.eye(2), rtol=1e-6)
+    assert np.linalg.eigvalsh(found.cov).min() > 0.0

@@ -194,6 +194,37 @@ def test_gyro_and_accelerometer_of_their_own_are_brought_together(tmp_path: Path
     assert any("sensor_accel interpolated" in note for note in recording.notes)
 
 
+@pytest.mark.parametrize("period_us", [10_000, 500_000])
+def test_an_imu_that_the_autopilot_did_not_choose_is_one_more_where_it_is_logged_fast_enough(
+    tmp_path: Path, period_us: int
+) -> None:
+    stamps = [1000 + period_us * k for k in range(6)]
+    first = [
+        {"timestamp": t, **{f"gyro_rad[{k}]": 0.1 for k in range(3)}, **{f"accelerometer_m_s2[{k}]": -9.8 for k in range(3)}}
+        for t in stamps
+    ]
+    increments = {**{f"delta_angle[{k}]": 2e-4 * k for k in range(3)}, **{f"delta_velocity[{k}]": 1e-2 * k for k in range(3)}}
+    second = [
+        {"timestamp": t, "gyro_device_id": 7.0, **increments, "delta_angle_dt": 4000.0, "delta_velocity_dt": 5000.0}
+        for t in stamps
+    ]
+    selection = [{"timestamp": 900, "gyro_device_id": 3.0}]
+    recording = ulog.read(written(tmp_path, sensor_combined=first, vehicle_imu=second, sensor_selection=selection))
+    other = recording.stream("/imu2")
+    if period_us > 50_000:
+        assert other is None
+        assert any("too slowly to take over" in note for note in recording.notes)
+        return
+    assert other is not None
+    leading = recording.stream("/imu")
+    assert leading is not None
+    np.testing.assert_array_equal(leading.t_ns - other.t_ns, 2_000_000)  # half of the 4 ms of the increment
+    got = next(m for m in recording if isinstance(m, ImuSample) and m.topic == "/imu2")
+    np.testing.assert_allclose(got.gyro_b, [0.0, 0.05, 0.1])
+    np.testing.assert_allclose(got.accel_b, [0.0, 2.0, 4.0])
+    assert 'imu = ["/imu", "/imu2"]' in recording.settings.toml("ulog", tmp_path, tuple(s.topic for s in recording.streams))
+
+
 @pytest.mark.parametrize("names", [("position[0]", "position[1]", "position[2]"), ("x", "y", "z")])
 def test_poses_from_outside_are_an_odometry_that_begins_anew_at_a_reset(tmp_path: Path, names: tuple[str, ...]) -> None:
     attitude = {"q[0]": 1.0, "q[1]": 0.0, "q[2]": 0.0, "q[3]": 0.0}

@@ -2,6 +2,7 @@ import itertools
 import tomllib
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -153,3 +154,18 @@ def test_file_becomes_the_scenario_it_describes() -> None:
     assert scenario.pose_fix.false_spans[0].offset_n_m == (1.0, 0.0, 0.0)
     assert scenario.faults == (SpoofJump(start_s=3.0, offset_n_m=(100.0, 0.0, 0.0)),)
     assert scenario.gnss is None
+
+
+def test_a_second_imu_is_on_a_topic_of_its_own_has_errors_of_its_own_and_changes_nothing_else() -> None:
+    both = msgspec.structs.replace(FULL, other_imus=(Imu(grade="hobby", rate_hz=50.0),))
+    alone, simulation = simulate(FULL, 1), simulate(both, 1)
+    second = [m for m in simulation.messages if isinstance(m, ImuSample) and m.topic == "/imu2"]
+    rest = [m for m in simulation.messages if not (isinstance(m, ImuSample) and m.topic == "/imu2")]
+    assert [repr(m) for m in rest] == [repr(m) for m in alone.messages]
+    assert second[1].t_ns - second[0].t_ns == 20_000_000
+    truth = simulation.truth
+    at = np.searchsorted(truth.t_ns, [m.t_ns for m in second])
+    off = np.array([m.gyro_b for m in second]) - truth.gyro_b[at]
+    assert 1e-4 < np.abs(off.mean(axis=0)).max() < 0.1  # a turn-on bias of 0.5 deg/s
+    assert np.abs(off.mean(axis=0) - truth.gyro_bias[at].mean(axis=0)).max() > 1e-4
+    assert 'imu = ["/imu", "/imu2"]' in simulation.config_toml

@@ -1,5 +1,7 @@
 """Motion through the air: Jacobians by differentiation, and the drag of PX4's model."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -54,6 +56,18 @@ def test_the_true_reading_has_no_innovation_and_the_jacobian_is_its_derivative(w
         dx[k] = 1e-6
         change = (_innovation(z, retract(x, dx), WIND) - _innovation(z, retract(x, -dx), WIND)) / 2e-6
         np.testing.assert_allclose(-change, h[:, k], atol=1e-5)
+
+
+@pytest.mark.parametrize("which", range(4), ids=["airspeed", "with sideslip", "drag", "drag of the rotors"])
+def test_a_scale_shows_by_the_velocity_of_the_estimate_and_not_by_the_noise_of_the_reading(which: int) -> None:
+    x = _state()
+    z = _readings(x)[which].in_wind(WIND)
+    noisy = replace(z, f_b=z.f_b + 1.0) if isinstance(z, DragForce) else replace(z, z_b=z.z_b + 5.0)
+    true = _through_air(x)[: len(z.rows), np.newaxis]
+    if which == 1:
+        true[1] = 0.0  # the tube measures nothing across it
+    np.testing.assert_allclose(z.by_scale(x), true)
+    np.testing.assert_allclose(noisy.by_scale(x), true)
 
 
 def test_drag_that_is_hardly_there_is_less_certain_of_the_speed_than_the_force_is_of_itself() -> None:
