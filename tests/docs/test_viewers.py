@@ -124,7 +124,11 @@ def test_the_3d_panel_draws_landmarks_and_pose_in_a_frame_that_tf_reports(types:
 
 def test_images_health_and_map_are_there(types: dict[str, str], messages: Messages) -> None:
     for panel in _panels("Image"):
-        assert types[panel["imageMode"]["imageTopic"]] in {schemas.IMAGE, schemas.COMPRESSED_IMAGE}
+        mode = panel["imageMode"]
+        assert types[mode["imageTopic"]] in {schemas.IMAGE, schemas.COMPRESSED_IMAGE}
+        assert types[mode["calibrationTopic"]] == schemas.CAMERA_INFO
+        image, camera = messages[mode["imageTopic"]][0], messages[mode["calibrationTopic"]][0]
+        assert image.header.frame_id == camera.header.frame_id in {t.child_frame_id for t in messages["/tf_static"][0].transforms}
     (health,) = _panels("DiagnosticStatusPanel")
     assert types[health["topicToRender"]] == schemas.DIAGNOSTICS
     status = messages[health["topicToRender"]][0].status[0]
