@@ -127,8 +127,9 @@ def test_images_health_and_map_are_there(types: dict[str, str], messages: Messag
         mode = panel["imageMode"]
         assert types[mode["imageTopic"]] in {schemas.IMAGE, schemas.COMPRESSED_IMAGE}
         assert types[mode["calibrationTopic"]] == schemas.CAMERA_INFO
-        image, camera = messages[mode["imageTopic"]][0], messages[mode["calibrationTopic"]][0]
-        assert image.header.frame_id == camera.header.frame_id in {t.child_frame_id for t in messages["/tf_static"][0].transforms}
+        (camera, *_), (static, *_) = messages[mode["calibrationTopic"]], messages["/tf_static"]
+        assert camera.header.frame_id in {t.child_frame_id for t in static.transforms}
+        assert panel["topics"]["/landfix/landmarks"]["visible"]
     (health,) = _panels("DiagnosticStatusPanel")
     assert types[health["topicToRender"]] == schemas.DIAGNOSTICS
     status = messages[health["topicToRender"]][0].status[0]
