@@ -76,13 +76,13 @@ def public() -> str:
     """The names of `import landfix`, each with where it is described."""
     tree = ast.parse((ROOT / "landfix" / "__init__.py").read_text(encoding="utf-8"))
     names = [
-        (alias.asname or alias.name, f"{node.module}.{alias.name}")
+        (alias.asname or alias.name, node.module)
         for node in tree.body
         if isinstance(node, ast.ImportFrom)
         for alias in node.names
     ]
-    rows = "\n".join(f"| `{name}` | [{path}][] |" for name, path in sorted(names))
-    return f"# landfix\n\n{_door(ROOT / 'landfix', 2)}\n\n| name | described at |\n|---|---|\n{rows}\n"
+    rows = "\n".join(f"| `{name}` | [{module}][] |" for name, module in sorted(names))
+    return f"# landfix\n\n{_door(ROOT / 'landfix', 2)}\n\n| name | described in |\n|---|---|\n{rows}\n"
 
 
 def _modules_of(folder: Path) -> list[Path]:
