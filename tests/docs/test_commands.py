@@ -60,7 +60,8 @@ NOT_RUN = {
     "landfix doctor -c examples/ardupilot_sitl.toml --autopilot ": "needs a simulator",
     "landfix report out/sitl/": "of a flight in a simulator", "python examples/sitl_fixes.py ": "needs a simulator",
     "make install": "has put this in place", "source ": "the shell's own",
-    "git clone ": "the network", "make demo": "tests/estimator/tools/test_demo.py flies a shorter one", "make test": "is what runs this",
+    "git clone ": "the network",
+    "make demo": "tests/estimator/tools/test_demo.py flies a shorter one", "make test": "is what runs this",
 }  # fmt: skip
 
 
