@@ -9,10 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from latex2mathml.converter import convert
+from mkdocs.exceptions import BuildError
+from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("estimator", "vision", "models", "calib", "logs")
+_FETCHED = re.compile(r'<(?:script|img|iframe)\b[^>]* src="?(https?:[^" >]+)')
 _LINK = re.compile(r"(!?\[[^\]]*\])\(([^)\s]+)\)")
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
 
@@ -39,6 +42,17 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 def on_page_content(html: str, **_: Any) -> str:
     r"""Formulas between \( \) and \[ \] as MathML."""
     return _FORMULA.sub(_math, html)
+
+
+@event_priority(-200)  # behind the plugin `offline`
+def on_post_build(config: Any) -> None:
+    """The site works from a disk: its search index is a script, and no page loads anything from the network."""
+    site = Path(config["site_dir"])
+    if not (site / "search" / "search_index.js").is_file():
+        raise BuildError("search/search_index.js is missing: is the plugin `offline` on?")
+    for page in sorted(site.rglob("*.html")):
+        if fetched := _FETCHED.search(page.read_text(encoding="utf-8")):
+            raise BuildError(f"{page.relative_to(site)} loads {fetched[1]}")
 
 
 def commands() -> str:
