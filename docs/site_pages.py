@@ -3,15 +3,19 @@
 Formulas become MathML, which browsers draw by themselves.
 """
 
+import ast
 import re
 from pathlib import Path
 from typing import Any
 
 from latex2mathml.converter import convert
+from mkdocs.exceptions import BuildError
+from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("estimator", "vision", "models", "calib", "logs")
+_FETCHED = re.compile(r'<(?:script|img|iframe)\b[^>]* src="?(https?:[^" >]+)')
 _LINK = re.compile(r"(!?\[[^\]]*\])\(([^)\s]+)\)")
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
 
@@ -22,6 +26,7 @@ def on_files(files: Files, config: Any) -> Files:
         "index.md": _of_root((ROOT / "README.md").read_text(encoding="utf-8")),
         "changelog.md": _of_root((ROOT / "CHANGELOG.md").read_text(encoding="utf-8")),
         "reference/commands.md": commands(),
+        "reference/landfix.md": public(),
         **{f"reference/{package}.md": modules(package) for package in PACKAGES},
     }
     for path, text in pages.items():
@@ -37,6 +42,17 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 def on_page_content(html: str, **_: Any) -> str:
     r"""Formulas between \( \) and \[ \] as MathML."""
     return _FORMULA.sub(_math, html)
+
+
+@event_priority(-200)  # behind the plugin `offline`
+def on_post_build(config: Any) -> None:
+    """The site works from a disk: its search index is a script, and no page loads anything from the network."""
+    site = Path(config["site_dir"])
+    if not (site / "search" / "search_index.js").is_file():
+        raise BuildError("search/search_index.js is missing: is the plugin `offline` on?")
+    for page in sorted(site.rglob("*.html")):
+        if fetched := _FETCHED.search(page.read_text(encoding="utf-8")):
+            raise BuildError(f"{page.relative_to(site)} loads {fetched[1]}")
 
 
 def commands() -> str:
@@ -58,10 +74,46 @@ def commands() -> str:
 
 
 def modules(package: str) -> str:
-    """Every module of a package that has something public, as its docstrings tell it."""
-    found = sorted(p for p in (ROOT / package).rglob("*.py") if not p.name.startswith("_"))
-    names = (".".join(p.relative_to(ROOT).with_suffix("").parts) for p in found)
-    return f"# {package}\n\n" + "\n\n".join(f"::: {name}" for name in names) + "\n"
+    """A package folder by folder: each folder's door, its `__init__`, goes first and says where to begin, then its modules."""
+    folders = [p.parent for p in sorted((ROOT / package).rglob("__init__.py"), key=lambda p: p.parent.parts)]
+    doors = "\n".join(f"| [{_name(folder)}][] | {_first_line(folder)} |" for folder in folders[1:])
+    parts = [f"# {package}", _door(folders[0], 2)]
+    if doors:
+        parts += [f"| folder | what |\n|---|---|\n{doors}"]
+    for folder in folders:
+        parts += [_door(folder, 2)] if folder != folders[0] else []
+        parts += [f"::: {_name(p.with_suffix(''))}\n    options:\n      heading_level: 3" for p in _modules_of(folder)]
+    return "\n\n".join(parts) + "\n"
+
+
+def public() -> str:
+    """The names of `import landfix`, each with where it is described."""
+    tree = ast.parse((ROOT / "landfix" / "__init__.py").read_text(encoding="utf-8"))
+    names = [
+        (alias.asname or alias.name, node.module)
+        for node in tree.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    ]
+    rows = "\n".join(f"| `{name}` | [{module}][] |" for name, module in sorted(names))
+    return f"# landfix\n\n{_door(ROOT / 'landfix', 2)}\n\n| name | described in |\n|---|---|\n{rows}\n"
+
+
+def _modules_of(folder: Path) -> list[Path]:
+    return sorted(p for p in folder.glob("*.py") if not p.name.startswith("_"))
+
+
+def _name(path: Path) -> str:
+    return ".".join(path.relative_to(ROOT).parts)
+
+
+def _door(folder: Path, level: int) -> str:
+    return f"::: {_name(folder)}\n    options:\n      heading_level: {level}\n      members: false"
+
+
+def _first_line(folder: Path) -> str:
+    text = ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8"))) or ""
+    return text.partition("\n")[0].replace("|", "\\|")
 
 
 def _of_root(text: str) -> str:

@@ -72,7 +72,7 @@ def _relay(server: "LiveServer", config: Path | None, connect: str | None) -> No
     from estimator.service import monitor
     from estimator.service.live_server import relay
     from estimator.service.zenoh.bus import OUTPUTS
-    from logs.wire import schemas
+    from logs.wire import cameras, schemas
     from logs.wire.markers import MARKERS, TOPIC
 
     loaded = load(config)
@@ -81,6 +81,9 @@ def _relay(server: "LiveServer", config: Path | None, connect: str | None) -> No
         "/landfix/fix": schemas.LANDMARK_FIX,
         "/landfix/vision": schemas.VISION_REPORT,
         TOPIC: MARKERS,
+        cameras.LEFT_TOPIC: schemas.CAMERA_INFO,
+        cameras.RIGHT_TOPIC: schemas.CAMERA_INFO,
+        cameras.STATIC_TOPIC: schemas.TF,
         OVERLAY_TOPIC: schemas.COMPRESSED_IMAGE,
     }
     with monitor.connected(loaded.zenoh, config.parent if config else Path(), connect) as (session, _):

@@ -9,7 +9,8 @@ import numpy as np
 from estimator.frontend.markers import LandmarkBoard
 from estimator.frontend.requests import Shot
 from estimator.frontend.residuals import Overlay, View
-from estimator.publish import OVERLAY_TOPIC
+from estimator.publish import OVERLAY_TOPIC, Pace
+from logs.wire.cameras import LEFT_FRAME, RIGHT_FRAME, encode_cameras
 from logs.wire.codec import Encoded, encode, encode_input
 from logs.wire.images import ImageError, Pixels, decode_image, encode_image
 from models import so3
@@ -22,6 +23,7 @@ from vision.image.scaled import scaled
 from vision.recognisers import MapImage, RecogniserConfig, Recognisers
 
 _JPEG_QUALITY: Final = 80
+_CAMERAS_HZ: Final = 1.0  # again and again: who comes later, and a part of a rotated log, know them too
 
 
 class _Look(NamedTuple):
@@ -43,7 +45,7 @@ class Processor:
         self._rig, self._landmarks, self._known, self._config = rig, landmarks, known, config
         self._run: int | None = None
         self._recognisers = Recognisers(rig, landmarks, known, config)
-        self._board = LandmarkBoard(landmarks)
+        self._board, self._cameras = LandmarkBoard(landmarks), Pace(_CAMERAS_HZ)
         self._used: set[str] = set()
         self._began_ns: int | None = None
         self._last: _Look | None = None
@@ -54,14 +56,14 @@ class Processor:
         return round(self._rig.time_offset_s * 1e9)
 
     def process(self, request: VisionRequest, images: tuple[Shot | None, Shot | None]) -> list[Encoded]:
-        """What the images show: the report, the fix if there is one, and for viewers the landmarks where that is news.
+        """What the images show: the report, the fix if there is one; for viewers the landmarks where that is news, the cameras.
 
         Never raises.
         """
         if request.run != self._run:
             self._run = request.run
             self._recognisers = Recognisers(self._rig, self._landmarks, self._known, self._config)
-            self._board = LandmarkBoard(self._landmarks)
+            self._board, self._cameras = LandmarkBoard(self._landmarks), Pace(_CAMERAS_HZ)
         decoded = [_decoded(shot, camera) for shot, camera in zip(images, (self._rig.left, self._rig.right), strict=True)]
         left, right = (image if not isinstance(image, str) else None for image in decoded)
         prior = Prior(np.array(request.p_n), np.array(request.q_nb_wxyz), request.covariance)
@@ -73,6 +75,8 @@ class Processor:
         self._last = _Look(request, left, right, used)
         self._began_ns = self._began_ns or request.t_ns
         news = self._board.news(request.t_ns, prior.p_n, used)
+        if self._cameras.due(request.t_ns):
+            news += encode_cameras(request.t_ns, self._rig)
         return [*encode(report), *([encode_input(result.fix)] if result.fix else []), *news]
 
     def draw(self, mode: str) -> Encoded | None:
@@ -94,7 +98,8 @@ class Processor:
             canvas = overlay.frame(image, view, self._used).canvas
         except Exception:  # an image for people must not cost the next fix; `overlays` of the status stands still then
             return None
-        return encode_image(request.t_ns, canvas, OVERLAY_TOPIC, jpeg_quality=_JPEG_QUALITY)
+        frame = LEFT_FRAME if left is not None else RIGHT_FRAME
+        return encode_image(request.t_ns, canvas, OVERLAY_TOPIC, jpeg_quality=_JPEG_QUALITY, frame=frame)
 
 
 def _decoded(shot: Shot | None, camera: CameraModel) -> Pixels | str | None:

@@ -11,6 +11,7 @@ from estimator.frontend.processor import Processor
 from estimator.frontend.repeat import Asked, Repeat
 from estimator.frontend.requests import Pair, VisionConfig
 from logs.store.reader import Record
+from logs.wire.cameras import LEFT_TOPIC, RIGHT_TOPIC, STATIC_TOPIC, is_own_static
 from logs.wire.codec import VISION_REQUEST_TOPIC, Encoded, decode_vision_request, encode
 from logs.wire.markers import TOPIC as LANDMARKS_TOPIC
 from logs.wire.stamps import stamp_of
@@ -18,7 +19,8 @@ from models.messages import VisionRequest
 
 FIX_TOPIC: Final = "/landfix/fix"
 REPORT_TOPIC: Final = "/landfix/vision"
-_ANSWERS: Final = frozenset({FIX_TOPIC, REPORT_TOPIC, LANDMARKS_TOPIC})
+_ANSWERS: Final = frozenset({FIX_TOPIC, REPORT_TOPIC, LANDMARKS_TOPIC, LEFT_TOPIC, RIGHT_TOPIC})
+_UNSTAMPED: Final = frozenset({LANDMARKS_TOPIC, STATIC_TOPIC})  # whose stamps are not at the message's beginning
 
 
 class ImageCounts(msgspec.Struct):
@@ -52,7 +54,7 @@ class ImageReplay(Repeat):
         self.counts = ImageCounts()
 
     def _is_answer(self, record: Record) -> bool:
-        return record.topic in _ANSWERS
+        return record.topic in _ANSWERS or (record.topic == STATIC_TOPIC and is_own_static(record.data))
 
     def _keep(self, record: Record) -> None:
         """Requests are answered in their order, when the fix or report of one is needed: all images have been read by then."""
@@ -68,7 +70,7 @@ class ImageReplay(Repeat):
 
     def _again(self, record: Record) -> Iterator[Record]:
         """The answer that takes the recorded one's place; what another program sent under our name stays."""
-        t_ns = self._answered_ns if record.topic == LANDMARKS_TOPIC else stamp_of(record.data)  # it follows report and fix
+        t_ns = self._answered_ns if record.topic in _UNSTAMPED else stamp_of(record.data)  # it follows report and fix
         while t_ns is not None and any(r.t_ns == t_ns for r in self._asked):
             self._answer(self._asked.popleft())
         answer = self._answers.pop((record.topic, t_ns or 0), None)

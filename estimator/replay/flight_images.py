@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from calib.files.formats import save_mounted, save_rig
 from estimator.frontend.workers import pool
+from logs.wire.cameras import LEFT_FRAME, RIGHT_FRAME
 from logs.wire.encoding import Encoded
 from logs.wire.images import Pixels, encode_image
 from models import so3
@@ -76,8 +77,8 @@ class Flight:
             images = render_pair(world, rig, p_n, R_nb, conditions, rng)
         quality = None if cameras.sees == "thermal" else cameras.jpeg_quality or None
         return tuple(
-            encode_image(t_ns, _sensed(image, cameras), topic, jpeg_quality=quality)
-            for image, topic in zip(images, (LEFT, RIGHT), strict=False)
+            encode_image(t_ns, _sensed(image, cameras), topic, jpeg_quality=quality, frame=frame)
+            for image, topic, frame in zip(images, (LEFT, RIGHT), (LEFT_FRAME, RIGHT_FRAME), strict=False)
         )
 
     def _conditions(self, since_s: float, p_n: Array, R_nb: Array, v_n: Array, omega_b: Array) -> Conditions:

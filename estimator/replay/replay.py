@@ -27,6 +27,7 @@ OWN_PREFIX = "/landfix/"
 OWN_INPUTS = frozenset({  # what stands under our own prefix, and no replay of ours makes anew
     "/landfix/fix", "/landfix/vision", "/landfix/vision_request", "/landfix/landmarks", "/landfix/tick", "/landfix/checkpoint",
     "/landfix/odometry_delta", "/landfix/odometry_request", "/landfix/odometry_report",
+    "/landfix/left/camera_info", "/landfix/right/camera_info",
 })  # fmt: skip
 _PROGRESS_EVERY = 2000  # records
 

@@ -104,13 +104,17 @@ def encode_slow(estimate: Estimate) -> list[Encoded]:
         return slow
     header = header_of(estimate.t_ns, _MAP)
     pose = _pose(p_n, (float(q[0]), float(q[1]), float(q[2]), float(q[3])))
-    transform = _new("geometry_msgs/msg/Transform", translation=_vector(axes.world(p_n)), rotation=pose.orientation)
-    stamped = _new("geometry_msgs/msg/TransformStamped", header=header, child_frame_id=_BODY, transform=transform)
+    stamped = _transform(header, _BODY, axes.world(p_n), pose.orientation)
     return [
         packed("/landfix/pose", schemas.POSE, header=header, pose=pose),
         packed("/tf", schemas.TF, transforms=[stamped]),
         *slow,
     ]
+
+
+def static_transform(t_ns: int, child: str, translation: Vec3, q_wxyz: Quat) -> Any:
+    """A geometry_msgs/msg/TransformStamped base_link -> child, both in FLU or the child's own axes."""
+    return _transform(header_of(t_ns, _BODY), child, translation, _quaternion(q_wxyz))
 
 
 def encode_truth(t_ns: int, p_n: Array | Vec3, v_n: Array | Vec3, q_nb_wxyz: Array | Quat) -> Encoded:
@@ -366,6 +370,16 @@ def _pose(p_n: Vec3, q_nb_wxyz: Quat) -> Any:
 def _quaternion(q_wxyz: Quat) -> Any:
     w, x, y, z = q_wxyz
     return _new("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+
+
+def _transform(header: Any, child: str, translation: Vec3, rotation: Any) -> Any:
+    transform = _new("geometry_msgs/msg/Transform", translation=_vector(translation), rotation=rotation)
+    return _new("geometry_msgs/msg/TransformStamped", header=header, child_frame_id=child, transform=transform)
+
+
+def whole_image() -> Any:
+    """A sensor_msgs/msg/RegionOfInterest that says: all of it."""
+    return _new("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
 
 
 def _vector(v: Vec3) -> Any:

@@ -31,9 +31,9 @@ class ImageError(Exception):
     """Bytes that are no image: one line that says why."""
 
 
-def encode_image(t_ns: int, image: Pixels, topic: str, *, jpeg_quality: int | None = None) -> Encoded:
-    """An image taken at t_ns: its pixels, or a JPEG file of that quality (1 to 100)."""
-    header = header_of(t_ns, "camera")
+def encode_image(t_ns: int, image: Pixels, topic: str, *, jpeg_quality: int | None = None, frame: str = "camera") -> Encoded:
+    """An image taken at t_ns by the camera `frame`: its pixels, or a JPEG file of that quality (1 to 100)."""
+    header = header_of(t_ns, frame)
     if jpeg_quality is not None:
         _, file = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality])
         return packed(topic, schemas.COMPRESSED_IMAGE, header=header, format="jpeg", data=file.ravel())

@@ -19,6 +19,9 @@ import numpy as np
 import pytest
 import typer
 
+from benchmarks.aerial import brighton, spacenet
+from benchmarks.aerial.tagged import tagged
+from benchmarks.flights.tasks import data_folder
 from calib.board.chessboard import Board
 from calib.cameras.bundle import Pose
 from calib.files.formats import load_rig
@@ -42,6 +45,8 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("tutorial_*.md"))]
 ALL_PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
+IMAGE_MIDDLE = 33.638396, -84.478936  # of the satellite image
+DJI_0034 = 46.842636, -91.993568  # by SIFT in the orthophoto
 BOARD = Board(9, 6, 0.025)
 LEFT = CameraModel(320, 240, 270.0, 271.0, 158.0, 121.0, (-0.2, 0.05, 0.0, 0.0))
 RIG = StereoRig(LEFT, LEFT, np.eye(3), np.array([-0.06, 0.0, 0.0]), np.eye(3), np.zeros(3))
@@ -56,6 +61,7 @@ NOT_RUN = {
     **dict.fromkeys((f"landfix {name} out/sitl/" for name in ("report", "doctor", "replay", "evaluate")), "of a flight in a simulator"),
     "landfix import dataflash ": "tests/flown", "python examples/sitl_fixes.py ": "needs a simulator",
     "make install": "has put this in place", "source ": "the shell's own",
+    "git clone ": "the network",
     "make demo": "tests/estimator/tools/test_demo.py flies a shorter one", "make test": "is what runs this",
 }  # fmt: skip
 
@@ -133,10 +139,22 @@ def a_photo_and_footprints(folder: Path) -> None:
     (folder / "truth.json").write_text(json.dumps(scene.map.frame.to_geodetic(p_nc)))
 
 
+def a_satellite_image_and_a_photo(folder: Path) -> None:
+    """The public files of the page, the photo with its tags written into it again."""
+    data = data_folder()
+    if not (data / spacenet.FOLDER).is_dir() or not (data / brighton.FOLDER).is_dir():
+        pytest.skip("the public images are not here (LANDFIX_DATA)")
+    for name in ("geotiff_labels.geojson", "sample_geotiff.tif"):
+        (folder / name).symlink_to(data / spacenet.FOLDER / name)
+    tagged(data, "DJI_0034.jpg", folder).rename(folder / "DJI_0034.JPG")
+    (folder / "benchmarks").symlink_to(ROOT / "benchmarks")
+
+
 BROUGHT: dict[str, Callable[[Path], None]] = {
     "README": a_csv_flight,
     "tutorial_calibrate": a_board_and_an_imu,
     "tutorial_photo": a_photo_and_footprints,
+    "tutorial_first_hour": a_satellite_image_and_a_photo,
 }
 
 
@@ -168,6 +186,18 @@ def located(folder: Path, said: str) -> None:
     assert (folder / "seen.png").stat().st_size > 100_000
 
 
+def twice_located(folder: Path, said: str) -> None:
+    """The satellite image where its own coordinates have it, the photo where SIFT and the orthophoto do."""
+    lat, lon = ([float(x) for x in re.findall(rf"{name} +(-?[\d.]+) deg", said)] for name in ("latitude", "longitude"))
+    places = list(zip(lat, lon, strict=True))  # of each: by the image alone, with the prior
+    for (north, east), true, off_m in ((places[1], IMAGE_MIDDLE, 2.0), (places[3], DJI_0034, 2.8)):
+        scale = 111_200.0 * np.cos(np.radians(true[0]))
+        assert np.hypot((north - true[0]) * 111_000.0, (east - true[1]) * scale) < off_m
+    assert "OpenStreetMap contributors" in (folder / "atlanta.geojson").read_text()
+    assert (folder / "satellite.png").stat().st_size > 100_000
+    assert (folder / "photo.png").stat().st_size > 100_000
+
+
 def tuned(folder: Path, said: str) -> None:
     noise, default = load(folder / "out/tune/tuned.toml").imu, load(None).imu
     assert noise.accel_noise < default.accel_noise
@@ -186,6 +216,7 @@ GIVES: dict[str, Callable[[Path, str], None]] = {
     "tutorial_calibrate": calibrated,
     "tutorial_map": mapped,
     "tutorial_photo": located,
+    "tutorial_first_hour": twice_located,
     "tutorial_tune": tuned,
 }
 

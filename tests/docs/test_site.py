@@ -24,6 +24,15 @@ def test_the_list_of_pages_is_whole_and_true() -> None:
     assert sorted(own) == [page.name for page in PAGES]
 
 
+def test_search_from_a_disk_loads_nothing_from_the_network() -> None:
+    """The plugin `offline` loads a script of its own, unless one with iframe-worker in its name is given."""
+    config = YAML(typ="safe").load((ROOT / "mkdocs.yml").read_text())
+    assert "offline" in config["plugins"]
+    (script,) = config["extra"]["polyfills"]
+    assert "iframe-worker" in script
+    assert (ROOT / "docs" / script).is_file()
+
+
 @pytest.mark.parametrize("page", [ROOT / "README.md", *PAGES], ids=lambda p: p.name)
 def test_links_lead_somewhere(page: Path) -> None:
     links = [link for link in _LINK.findall(page.read_text()) if "://" not in link]

@@ -124,7 +124,12 @@ def test_the_3d_panel_draws_landmarks_and_pose_in_a_frame_that_tf_reports(types:
 
 def test_images_health_and_map_are_there(types: dict[str, str], messages: Messages) -> None:
     for panel in _panels("Image"):
-        assert types[panel["imageMode"]["imageTopic"]] in {schemas.IMAGE, schemas.COMPRESSED_IMAGE}
+        mode = panel["imageMode"]
+        assert types[mode["imageTopic"]] in {schemas.IMAGE, schemas.COMPRESSED_IMAGE}
+        assert types[mode["calibrationTopic"]] == schemas.CAMERA_INFO
+        (camera, *_), (static, *_) = messages[mode["calibrationTopic"]], messages["/tf_static"]
+        assert camera.header.frame_id in {t.child_frame_id for t in static.transforms}
+        assert panel["topics"]["/landfix/landmarks"]["visible"]
     (health,) = _panels("DiagnosticStatusPanel")
     assert types[health["topicToRender"]] == schemas.DIAGNOSTICS
     status = messages[health["topicToRender"]][0].status[0]

@@ -100,7 +100,10 @@ def _as_fix(result: Result, rig: StereoRig, marks: Sequence[Landmark], move: Mot
     pose, t_ns = found.estimate, result.report.t_ns
     if flaw := pose_flaw(pose, move.prior):
         return refused(result, "no_pose", flaw)
-    detail = f"{result.report.detail}; all {len(marks)} outlines together have one position, {best.ratio:.2f} times the second"
+    single = result.report.detail.removeprefix("predicted: ")
+    detail = (
+        f"predicted: all {len(marks)} outlines together have one position, {best.ratio:.2f} times the second; singly {single}"
+    )
     report = msgspec.structs.replace(result.report, outcome="fixed", detail=detail, residual_px=pose.residual_px)
     return Result(fix_of(pose, t_ns, (NAME,), min(best.score, 1.0)), report, result.regions, pose)
 

@@ -23,6 +23,7 @@ from estimator.commands.photo.tags import Tags, read
 from models import so3
 from models.camera import StereoRig
 from models.frames import Origin
+from models.messages import Array
 from vision.identify.identify import Prior
 from vision.image.rectify import Image
 
@@ -33,6 +34,7 @@ _ONE_FLIGHT_S: Final = 60.0  # photos that are farther apart confirm nothing: th
 _OTHER_FLIGHT_NS = 1000 * _APART_NS
 _WIDEST_M = 1e7  # a quarter of the way around the Earth
 _USUAL_SIGMA = "10,2"
+_BY_AXIS: Final = 4  # numbers of --prior-sigma: horizontal, vertical, tilt, heading
 
 
 class Given(NamedTuple):
@@ -84,8 +86,8 @@ def check(given: Given) -> None:
         lat, lon, *_ = numbers(text, 6, "--prior", "47.3977,8.5456,560,0,0,90")
         if not (abs(lat) <= 90.0 and abs(lon) <= 360.0):
             raise typer.BadParameter(f"--prior: latitude {lat:g}, longitude {lon:g} is no place on Earth")
-    sigma = numbers(given.prior_sigma or _USUAL_SIGMA, 2, "--prior-sigma", _USUAL_SIGMA)
-    if not (0.0 < sigma[0] <= _WIDEST_M and 0.0 < sigma[1] <= 180.0):
+    *metres, tilt, heading = _sigmas(given.prior_sigma)
+    if not (all(0.0 < m <= _WIDEST_M for m in metres) and 0.0 < tilt <= 180.0 and 0.0 < heading <= 180.0):
         raise typer.BadParameter(f"--prior-sigma must be positive, at most {_WIDEST_M:.0f} m and 180 degrees")
     if not given.prior and given.mount is not None:
         raise typer.BadParameter("--mount is for --prior: the angles in a photo's tags are those of the camera itself")
@@ -205,12 +207,21 @@ def _priors(
 def _prior(text: str, sigma: str, frame: Origin) -> Prior:
     lat, lon, alt, *angles = numbers(text, 6, "--prior", "47.3977,8.5456,560,0,0,90")
     q = so3.from_euler(*(math.radians(angle) for angle in angles))
-    return Prior(np.array(frame.to_ned(lat, lon, alt)), q, _covariance(sigma or _USUAL_SIGMA))
+    return Prior(np.array(frame.to_ned(lat, lon, alt)), q, _covariance(sigma))
 
 
-def _covariance(sigma: str) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    metres, degrees = numbers(sigma, 2, "--prior-sigma", _USUAL_SIGMA)
-    return np.diag(np.repeat(np.array([metres, math.radians(degrees)]) ** 2, 3))
+def _sigmas(text: str) -> list[float]:
+    """Horizontal and vertical [m], tilt and heading [deg], of four numbers, or of two: m and deg. Raises BadParameter."""
+    if text.count(",") == _BY_AXIS - 1:
+        return numbers(text, _BY_AXIS, "--prior-sigma", "10,5,1,3")
+    metres, degrees = numbers(text or _USUAL_SIGMA, 2, "--prior-sigma", _USUAL_SIGMA)
+    return [metres, metres, degrees, degrees]
+
+
+def _covariance(sigma: str) -> Array:
+    """(6, 6) [m^2, rad^2], of position and of the attitude about the axes of n."""
+    horizontal, vertical, tilt, heading = _sigmas(sigma)
+    return np.diag(np.array([horizontal, horizontal, vertical, *np.radians([tilt, tilt, heading])]) ** 2)
 
 
 def _photos(rig: StereoRig, files: list[Path], turns: list[int], priors: list[Prior], tags: dict[Path, Tags]) -> Iterator[Shot]:

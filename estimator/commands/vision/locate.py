@@ -50,7 +50,11 @@ def command(
     mount: Mount = "",
     mount_sigma: MountSigma = "0.02,1",
     prior_sigma: Annotated[
-        str, typer.Option(metavar="M,DEG", help="Standard deviation of the prior, each axis; 10,2 with --prior.")
+        str,
+        typer.Option(
+            metavar="M,DEG|H,V,TILT,YAW",
+            help="Standard deviation of the prior: each axis (10,2 with --prior), or m horizontally and vertically, and deg.",
+        ),
     ] = "",
     height_m: Annotated[
         float | None, typer.Option(min=1, max=5000, help="Height above the ground, in place of that in the photos' tags.")

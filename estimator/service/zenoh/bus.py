@@ -218,4 +218,13 @@ class ZenohBus:
         """Likewise of the outputs and queryables."""
         domain = self._config.domain
         common = ["diagnostics", f"{domain}/diagnostics/**"] if self._config.diagnostics else []
-        return ["landfix/**", f"{domain}/landfix/**", "tf", f"{domain}/tf/**", f"{domain}/fmu/in/**", *common]
+        return [
+            "landfix/**",
+            f"{domain}/landfix/**",
+            "tf",
+            f"{domain}/tf/**",
+            "tf_static",
+            f"{domain}/tf_static/**",
+            f"{domain}/fmu/in/**",
+            *common,
+        ]

@@ -1,9 +1,12 @@
 """A log of images gives fixes; a log of fixes and images gives the same fixes again, bit for bit."""
 
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
+from rosbags.highlevel import AnyReader
 
 from estimator.config import ConfigError, load
 from estimator.frontend.files import load_processor
@@ -13,10 +16,11 @@ from logs.store.reader import LogReader, Record
 from logs.store.recorder import Recorder
 from logs.wire.codec import Decoder
 from logs.wire.schemas import STORE
+from models import so3
 from models.messages import LandmarkFix
 from models.sim.scenario import EPOCH_NS
 from tests.estimator.scenes import SECOND
-from tests.estimator.sights import PLACE, SEEN_S, write_flight
+from tests.estimator.sights import PLACE, SEEN_S, village, write_flight
 
 
 def _again(source: Path, out: Path, config_file: Path) -> ImageCounts:
@@ -78,6 +82,33 @@ def test_viewers_get_the_landmarks_at_the_first_image_and_those_in_use(seen: Pat
     green = {m.text for m in markers if m.text and m.color.g > m.color.r}
     assert green in [set(fix.landmarks) if isinstance(fix, LandmarkFix) else set() for fix in fixes] + [set()]
     assert len({m.text for m in markers if m.text}) > 5
+
+
+def test_a_viewer_puts_landmarks_where_the_image_shows_them(seen: Path) -> None:
+    """Transforms and cameras as rosbags reads them from the log, against our own projection; the vehicle is level, nose north."""
+    said: dict[str, Any] = {}
+    with AnyReader([seen]) as reader:
+        for connection, _, data in reader.messages():
+            if connection.topic not in said:
+                said[connection.topic] = reader.deserialize(data, connection.msgtype)
+    rig, mark = village().rig, village().map.near(*PLACE[:2], 50.0)[0]
+    roof = np.array([*mark.centre_n, mark.roof_d])
+    of_base_link = np.diag([1.0, -1.0, -1.0]) @ (roof - PLACE)
+    cameras = [
+        ("left", rig.left, rig.camera_pose(np.array(PLACE), np.eye(3))),
+        ("right", rig.right, rig.right_camera_pose(np.array(PLACE), np.eye(3))),
+    ]
+    for transform, (side, camera, (p_nk, R_nk)) in zip(said["/tf_static"].transforms, cameras, strict=True):
+        info, t, q = said[f"/landfix/{side}/camera_info"], transform.transform.translation, transform.transform.rotation
+        assert (transform.header.frame_id, transform.child_frame_id, info.header.frame_id) == (
+            "base_link",
+            *2 * [f"{side}_camera"],
+        )
+        x_k = so3.matrix(np.array([q.w, q.x, q.y, q.z])).T @ (of_base_link - [t.x, t.y, t.z])
+        seen_by_viewer = cv2.projectPoints(x_k, np.zeros(3), np.zeros(3), info.k.reshape(3, 3), info.d)[0].ravel()
+        assert np.allclose(seen_by_viewer, camera.project(((roof - p_nk) @ R_nk)[None])[0], atol=1e-6)
+        assert (info.width, info.height) == (camera.width, camera.height)
+        assert np.allclose(info.p.reshape(3, 4)[:, :3], info.k.reshape(3, 3))
 
 
 def test_the_same_again_to_the_bit(seen: Path, flight: tuple[Path, Path], tmp_path: Path) -> None:

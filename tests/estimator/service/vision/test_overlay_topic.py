@@ -13,6 +13,7 @@ from estimator.publish import OVERLAY_TOPIC
 from estimator.service.daemon import Daemon
 from estimator.service.zenoh.keys import plain_key, rmw_key
 from logs.wire import schemas
+from logs.wire.cameras import LEFT_TOPIC, RIGHT_TOPIC, STATIC_TOPIC
 from logs.wire.images import Pixels, decode_image
 from logs.wire.stamps import restamped, stamp_of
 from models.messages import ImuSample
@@ -21,6 +22,7 @@ from tests.estimator.service.flying import client, free_port, in_thread, logs_of
 from tests.estimator.sights import PLACE, village, write_flight
 
 OVERLAY_HZ = 2.0
+CAMERAS = {LEFT_TOPIC: schemas.CAMERA_INFO, RIGHT_TOPIC: schemas.CAMERA_INFO, STATIC_TOPIC: schemas.TF}
 
 
 @contextmanager
@@ -71,7 +73,12 @@ def test_drawn_while_somebody_subscribes_and_only_then(tmp_path: Path) -> None:
     key = rmw_key(0, OVERLAY_TOPIC, schemas.COMPRESSED_IMAGE)
     with in_thread(config, tmp_path) as daemon, client(port) as session, _hovering(daemon):
         count = _counts(session)
-        until(lambda: count("answers") >= 4, "vision sees")
+        cameras: dict[str, bytes] = {}
+        for topic, schema in CAMERAS.items():
+            _ = session.declare_subscriber(
+                rmw_key(0, topic, schema), lambda s, t=topic: cameras.update({t: s.payload.to_bytes()})
+            )
+        until(lambda: count("answers") >= 4 and len(cameras) == len(CAMERAS), "vision sees, and the cameras are announced")
         assert count("overlays") == 0, "nobody has subscribed"
         watcher = session.declare_subscriber(key, lambda sample: got.append(sample.payload.to_bytes()))
         until(lambda: len(got) >= 3, "overlays come")
@@ -89,6 +96,8 @@ def test_drawn_while_somebody_subscribes_and_only_then(tmp_path: Path) -> None:
         assert count("restarts") == 0
     _check(got)
     (log,) = logs_of(tmp_path)
+    for topic, data in cameras.items():
+        assert data in {r.data for r in records(log, topic)}, f"{topic}: in the log what was sent"
     assert records(log, OVERLAY_TOPIC) == [], "an image of an image is not kept"
 
 

@@ -125,9 +125,12 @@ def _process_id(worker: VisionWorker) -> int:
 def test_a_pair_gives_a_request_a_report_and_a_fix_in_this_order(seeing: Seeing) -> None:
     worker, heard, take = seeing
     take()
-    heard.wait("/landfix/landmarks", 1)
+    heard.wait("/tf_static", 1)
     said = [m.topic for m in heard.messages]
-    assert said == ["/landfix/vision_request", "/landfix/vision", "/landfix/fix", "/landfix/landmarks"]
+    assert said == [
+        "/landfix/vision_request", "/landfix/vision", "/landfix/fix", "/landfix/landmarks",
+        "/landfix/left/camera_info", "/landfix/right/camera_info", "/tf_static",
+    ]  # fmt: skip
     assert decode_vision_request(heard.messages[0].data, 0).run == worker.report()["restarts"]
     assert worker.report()["state"] == "seeing"
 
