@@ -15,7 +15,7 @@ bounds it, so Bayes' rule with the likelihood of d without a fault, exp(-t^2 / 2
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Final, NamedTuple
 
 from estimator.filter.hypotheses import Hypotheses, Hypothesis
@@ -28,7 +28,6 @@ GNSS, FIX = "gnss_position", "pose"  # kinds of absolute sources
 IN_USE_S: Final = 60.0  # since it was last fused: what it did is in the estimate so long
 OTHER_SOURCE_S: Final = 2.0  # old at most, a position of another source that the estimate is compared with
 _GATED_SIGMAS: Final = 4.0
-_EXTENT: Final = 3
 
 
 class Position(NamedTuple):
@@ -190,8 +189,3 @@ def _sigmas(P: Array) -> tuple[float, float]:
 
 def _share(rate_per_hour: float, config: IntegrityConfig) -> float:
     return allowed(rate_per_hour, config.correlation_s)
-
-
-def position_of(innovation: Sequence[float], detail: str) -> bool:
-    """Whether the innovation of an absolute source begins with a position in NED; directions of a fix in part are none."""
-    return len(innovation) >= _EXTENT and "directions" not in detail

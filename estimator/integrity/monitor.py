@@ -12,7 +12,7 @@ import numpy as np
 from estimator.filter.tracker import Tracker
 from estimator.integrity.alert import CAUTION_RISK, Judge, Levels
 from estimator.integrity.config import IntegrityConfig
-from estimator.integrity.faults import FIX, GNSS, IN_USE_S, Fault, Position, Snapshot, faults, position_of
+from estimator.integrity.faults import FIX, GNSS, IN_USE_S, Fault, Position, Snapshot, faults
 from estimator.integrity.protection import Mode, Tail, allowed, exceeded, in_plane, one_axis, protection_level, protection_levels
 from models.messages import AidStatus, Alert, Integrity, Reason
 from models.state import E
@@ -54,16 +54,15 @@ class Monitor:
         last = self.last
         return "" if last is None else f"{last.state}: {last.reason}" if last.reason else str(last.state)
 
-    def note(self, status: AidStatus) -> None:
-        """What became of a measurement."""
+    def note(self, status: AidStatus, position: tuple[tuple[float, ...], tuple[float, ...]] | None) -> None:
+        """What became of a measurement, and its innovation as a position with the sigma, if it is one."""
         if status.kind not in {GNSS, FIX}:
             return
         last = self._positions.get(status.topic)
         used_ns = status.t_ns if status.reason in _USED else _NEVER
         fused_ns = max(used_ns, last.fused_ns if last else _NEVER)
-        if position_of(status.innovation, status.detail) and (last is None or status.t_ns >= last.t_ns):
-            innovation, sigma = status.innovation[:3], status.innovation_sigma[:3]
-            self._positions[status.topic] = Position(status.kind, status.t_ns, innovation, sigma, fused_ns)
+        if position is not None and (last is None or status.t_ns >= last.t_ns):
+            self._positions[status.topic] = Position(status.kind, status.t_ns, *position, fused_ns)
         elif last is not None:
             self._positions[status.topic] = last._replace(fused_ns=fused_ns)
         else:
