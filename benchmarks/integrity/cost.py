@@ -31,7 +31,10 @@ def main() -> None:
     for aids, pulled in (("fixes", False), ("both", False), ("both", True)):
         flight = village("rotor", aids, args.seconds, 0)
         messages = perturbed(flight, KINDS["GNSS pulled, fixes 1 Hz"], 3.0, 0) if pulled else flight.messages
-        ways = {name: partial(spent_s, flight, messages, c) for name, c in (("never", _NEVER), ("plain", IntegrityConfig()), ("limits", LIMITS))}
+        ways = {
+            name: partial(spent_s, flight, messages, c)
+            for name, c in (("never", _NEVER), ("plain", IntegrityConfig()), ("limits", LIMITS))
+        }
         least = in_turns(ways, args.rounds)
         us = {name: 1e6 * s / len(messages) for name, s in least.items()}
         print(

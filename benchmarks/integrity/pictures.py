@@ -49,8 +49,11 @@ def _shades() -> mpl.colors.Colormap:
 
 def _panel(ax: Axes, name: str, rows: Sequence[Row]) -> None:
     counts: dict[tuple[float, float], int] = {}
-    for e, v, n in (cell for r in rows for cell in r.cells):
-        at = float(np.clip(10.0 ** (STEP * e), _LOW_M, _HIGH_M)), _HIGH_M if v == INFINITE else min(10.0 ** (STEP * v), _HIGH_M)
+    for e, level, n in (cell for r in rows for cell in r.cells):
+        at = (
+            float(np.clip(10.0 ** (STEP * e), _LOW_M, _HIGH_M)),
+            _HIGH_M if level == INFINITE else min(10.0 ** (STEP * level), _HIGH_M),
+        )
         counts[at] = counts.get(at, 0) + n
     x, y = np.array(list(counts)).reshape(-1, 2).T
     ax.fill_between([_LOW_M, _HIGH_M], _LOW_M, [_LOW_M, _HIGH_M], color=_BAD, alpha=0.12, linewidth=0)
@@ -63,7 +66,7 @@ def _panel(ax: Axes, name: str, rows: Sequence[Row]) -> None:
     ax.set_title(f"{name}: {len(rows)} flights, {hours:.2f} h", fontsize=9)
     shown = {region: sum(getattr(s, region) for s in sides) for region in ("unavailable", "nominal", "misleading", "hazardous")}
     places = {
-        "unavailable": (0.04, 0.95, "left", "top"), "nominal": (0.04, 0.52, "left", "top"),
+        "unavailable": (0.04, 0.95, "left", "top"), "nominal": (0.04, 0.36, "left", "top"),
         "misleading": (0.55, 0.04, "right", "bottom"), "hazardous": (0.97, 0.04, "right", "bottom"),
     }  # fmt: skip
     for region, (u, v, align, base) in places.items():

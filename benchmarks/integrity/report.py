@@ -48,8 +48,8 @@ def summary(rows: Sequence[Row]) -> str:
         fixes, wrong = sum(r.fixes for r in some), sum(r.wrong for r in some)
         if not fixes:
             continue
-        frames, most = sum(round(r.size) for r in some), bound(wrong, fixes)
-        lines.append(f"identification: {frames} {said}, {fixes} fixes, {wrong} wrong (95 %: at most {most:.2g} of the fixes)")
+        frames, highest = sum(round(r.size) for r in some), bound(wrong, fixes)
+        lines.append(f"identification: {frames} {said}, {fixes} fixes, {wrong} wrong (95 %: at most {highest:.2g} of the fixes)")
     return "\n".join(f"- {line}" for line in lines) + "\n"
 
 
