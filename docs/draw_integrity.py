@@ -18,7 +18,10 @@ def leaves(c: IntegrityConfig) -> list[tuple[str, list[str]]]:
         (_BOUNDED, ["nominal errors", f"{3600.0 / c.correlation_s:.0f} an hour", "heavy tail on the", "reported covariance"]),
         (_CHECKED, ["undecided hypothesis", "its weight in the filter", "bound: its position", "and covariance"]),
         (_BOUNDED, ["false fix in the gate", f"{c.landmark_fault_per_hour:g} / h", "bound: 4 sigma"]),
-        (_BOUNDED, ["map shifted", f"{c.map_fault_per_hour:g} / h", f"bound: {c.map_shift_m:g} m"]),
+        (
+            _BOUNDED,
+            ["map shifted", f"{c.map_fault_per_hour:g} / h", f"bound: {c.map_shift_m:g} m,", f"scale {c.map_scale_percent:g} %"],
+        ),
         (_BOUNDED, ["cameras turned", f"{c.rig_fault_per_hour:g} / h", f"bound: {c.rig_turn_deg:g} deg at 50 m"]),
         (_BOUNDED, ["stamps wrong", f"{c.timing_fault_per_hour:g} / h, each source", f"bound: speed x {c.timing_s:g} s"]),
         (

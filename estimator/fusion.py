@@ -385,7 +385,7 @@ class Fusion:
             entry.replayed,
             "; ".join(filter(None, (decision.detail, aid.assumed))),
         )
-        self._integrity.note(status)
+        self._integrity.note(status, decision.position)
         return status
 
     def _refuse(self, message: Input, refusal: Refusal) -> AidStatus:

@@ -17,15 +17,20 @@ from logs.evaluation.evaluate import Comparison, compare
 from models.sim.scenario import Scenario, simulate
 
 
-def draw(folder: Path, plan: Scenario, seed: int) -> None:
-    """The flight of a scenario with cameras as flight.mcap, with map, rig and configuration next to it."""
+def draw(folder: Path, plan: Scenario, seed: int, *, spread: bool = True) -> None:
+    """The flight of a scenario with cameras as flight.mcap, with map, rig and configuration next to it.
+
+    spread: over processes; a job of a pool has none of its own.
+    """
     assert plan.cameras is not None
     folder.mkdir(parents=True, exist_ok=True)
     simulation = simulate(plan, seed)
     images = flight_images.plan(plan.cameras, simulation, seed)
     images.write_map_and_rig(folder / "map.geojson", folder / "rig.yaml")
     (folder / "flight.toml").write_text(flight_images.configuration(plan.cameras, simulation, "map.geojson", "rig.yaml"))
-    simulated.write(simulation, folder / "flight.mcap", images=images)
+    delay_ns = round(plan.cameras.delay_s * 1e9)
+    here = [] if spread else [(t + delay_ns, image) for k, t in enumerate(images.t_ns.tolist()) for image in images.draw(k)]
+    simulated.write(simulation, folder / "flight.mcap", images=images if spread else here)
 
 
 def fly(folder: Path, after_s: float, *, landmarks: bool = True) -> Comparison:

@@ -2,7 +2,8 @@
 
 python -m benchmarks.integrity --quick              simulated flights: the stress table and villages (minutes)
 python -m benchmarks.integrity                      those of LANDFIX_DATA too: outages, false fixes, outliers (an hour)
-python -m benchmarks.integrity --looks 1000000      frames of the identification benchmark in addition to the flights (hours)
+python -m benchmarks.integrity --looks 1000000 --rendered 20000   frames of the identification benchmarks in addition (hours)
+python -m benchmarks.integrity --groups looks --looks 1000000     these alone
 python -m benchmarks.integrity --scheduler tcp://10.0.0.5:8786
 
 What was done stands in out/integrity/rows.jsonl and is not done again; delete the file to begin anew. When the run ends,
@@ -17,38 +18,44 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from benchmarks.flights.tasks import ROOT, SETS, data_folder, flights
+from benchmarks.identification.images import LAYOUTS
 from benchmarks.identification.numbers import WORLDS
+from benchmarks.integrity.pictures import draw
 from benchmarks.integrity.record import RECORD, added
-from benchmarks.integrity.report import is_faulty, plot, summary, table
-from benchmarks.integrity.runs import Job, Row, run
+from benchmarks.integrity.rendered import LIGHTS
+from benchmarks.integrity.report import groups_table, summary, table
+from benchmarks.integrity.rows import Row
+from benchmarks.integrity.runs import Job, run
 from benchmarks.jobs import results_in, run_jobs
 from benchmarks.stress.perturbations import KINDS
 
 _SCENARIOS = "ACXB"  # of the scoring tool: outages, false fixes after outages, outliers, one long outage
-_FRAMES = 1000  # of a job
+_GROUPS = ("village", "stress", "real", "rendered", "looks", "images")
+_FRAMES, _PAIRS = 1000, 24  # of a job
 _VILLAGE_S = 300.0
 
 
 def main() -> None:
     args = arguments()
     os.environ["OMP_NUM_THREADS"] = "1"  # inherited: one thread a process
-    work = jobs(args.out / "tasks", quick=args.quick, seeds=args.seeds, looks=args.looks)
+    work = jobs(args.out / "tasks", quick=args.quick, seeds=args.seeds, looks=args.looks, images=args.rendered)
+    work = [job for job in work if job[0] in args.groups]
     kept = args.out / "rows.jsonl"
     try:
         with cluster(args.scheduler) as executor:
             rows = run_jobs(work, run, Row, kept, processes=args.jobs, resume=True, executor=executor)
     finally:  # also of a run that is ended with Ctrl-C
         known = added([row for _, row in results_in(kept, Row)], args.record)
-    text = f"{summary(rows)}\nAll of {args.record.name}:\n\n{summary(known)}\n{table(rows).markdown()}"
+    found = "\n".join(t.markdown() for t in (groups_table(rows), table(rows)))
+    text = f"{summary(rows)}\nAll of {args.record.name}:\n\n{summary(known)}\n{found}"
     (args.out / "report.md").write_text(text)
-    for name, some in (("nominal", [r for r in rows if not is_faulty(r)]), ("faults", [r for r in rows if is_faulty(r)])):
-        (args.out / f"stanford_{name}.svg").write_text(plot(some, f"{name}: HPL at 1e-5 per hour"))
+    draw(rows, args.out / "stanford.png")
     print(text)
-    print(f"{args.out}/report.md, rows.jsonl, stanford_nominal.svg, stanford_faults.svg")
+    print(f"{args.out}/report.md, rows.jsonl, stanford.png")
 
 
-def jobs(tasks: Path, *, quick: bool, seeds: int, looks: int) -> list[Job]:
-    """Villages, the stress table on simulated flights, recorded flights with outages and false fixes, identification."""
+def jobs(tasks: Path, *, quick: bool, seeds: int, looks: int, images: int) -> list[Job]:
+    """Villages, the stress table on simulated flights, recorded and rendered flights, identification."""
     folder = str(tasks)
     work: list[Job] = [
         ("village", vehicle, aids, _VILLAGE_S, seed, folder)
@@ -64,8 +71,12 @@ def jobs(tasks: Path, *, quick: bool, seeds: int, looks: int) -> list[Job]:
         work += [("real", flight, scenario, 0.0, 0, folder) for scenario in _SCENARIOS for flight in recorded]
         work += [("stress", flight, "nothing, with GNSS", 0.0, 0, folder) for flight in recorded]
     work += [] if quick else [("stress", "sim/wing", *cell, 0, folder) for cell in cells]
+    if not quick:
+        work += [("rendered", light, "", 0.0, seed, folder) for seed in range(1, seeds + 1) for light in LIGHTS]
     batches = looks // (_FRAMES * len(WORLDS))
     work += [("looks", world, "", float(_FRAMES), seed, folder) for seed in range(batches) for world in WORLDS]
+    batches = images // (_PAIRS * len(LAYOUTS))
+    work += [("images", world, "prior 10 m", float(_PAIRS), seed, folder) for seed in range(batches) for world in LAYOUTS]
     return work
 
 
@@ -92,6 +103,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--quick", action="store_true", help="simulated flights, the two largest sizes of each kind")
     parser.add_argument("--seeds", type=int, default=3, help="of the villages")
     parser.add_argument("--looks", type=int, default=0, help="frames of the identification benchmark")
+    parser.add_argument("--rendered", type=int, default=0, help="pairs of rendered images of the identification benchmark")
+    parser.add_argument("--groups", nargs="+", choices=_GROUPS, default=_GROUPS, help="these alone")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--scheduler", default="", metavar="ADDRESS", help="dask.distributed scheduler")
     parser.add_argument("--record", type=Path, default=RECORD, help="counts of all runs so far, added to")

@@ -12,7 +12,7 @@ from typing import Final
 import msgspec
 
 from benchmarks.flights.tasks import ROOT
-from benchmarks.integrity.runs import Row
+from benchmarks.integrity.rows import Row
 
 RECORD: Final = ROOT / "docs" / "integrity_runs.csv"
 _OTHERS: Final = ("group", "flight", "kind", "size", "seed", "hours", "hazards", "worst", "fixes", "wrong")

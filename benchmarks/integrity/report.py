@@ -1,15 +1,24 @@
-"""Tables and the Stanford plot of benchmarks.integrity."""
+"""Counts and tables of benchmarks.integrity."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from scipy.stats import beta
 
-from benchmarks.integrity.runs import INFINITE, LIMITS, STEP, Row
+from benchmarks.integrity.rows import LIMITS, Row
+from benchmarks.stress.perturbations import KINDS
 from benchmarks.tables import Table, number
 from estimator.integrity.monitor import RISKS
-from logs.report.stanford import stanford
 
+GROUPS = (
+    "villages", "recorded flights", "rendered flights", "outages",
+    "false fixes", "stress table", "conflicts", "beyond the fault table",
+)  # fmt: skip
+# kinds that the fault table does not have, and sizes from which they are above its own
+BEYOND = {
+    "IMU axes": 90.0, "fix scale": 0.2, "fix heading": 10.0, "fix units": 3.28,
+    "map north": 10.0, "map shift": 5.0, "fix delay": 150.0,
+}  # fmt: skip
 _PER_HOUR = 3600.0 / LIMITS.correlation_s  # independent errors
 _REGIONS = ("nominal", "misleading", "hazardous", "unavailable")
 _TITLE = "Protection levels against true errors; events 10 s apart; regions: horizontal, 10 m, 1e-5 per hour; worst: at 1e-5"
@@ -34,12 +43,51 @@ def summary(rows: Sequence[Row]) -> str:
         shown = "; ".join(f"{r:g}: {n} (95 %: at most {m:.2g} per hour)" for r, n, m in zip(RISKS, events, most, strict=True))
         lines.append(f"{title}: {hours:.2f} h, {len(flown)} flights; events of error > PL at {shown}")
         lines.append(f"{title}: error > limit while usable: {hazards} evaluations")
-    fixes, wrong = sum(r.fixes for r in rows), sum(r.wrong for r in rows)
-    if fixes:
-        looks = sum(round(r.size) for r in rows if r.group == "looks")
-        share = bound(wrong, fixes)
-        lines.append(f"identification: {looks} frames, {fixes} fixes, {wrong} wrong (95 %: at most {share:.2g} of the fixes)")
+    for group, said in (("looks", "frames"), ("images", "rendered pairs")):
+        some = [r for r in rows if r.group == group]
+        fixes, wrong = sum(r.fixes for r in some), sum(r.wrong for r in some)
+        if not fixes:
+            continue
+        frames, highest = sum(round(r.size) for r in some), bound(wrong, fixes)
+        lines.append(f"identification: {frames} {said}, {fixes} fixes, {wrong} wrong (95 %: at most {highest:.2g} of the fixes)")
     return "\n".join(f"- {line}" for line in lines) + "\n"
+
+
+def group_of(row: Row) -> str:
+    """Under which it is counted and drawn; "" of identification."""
+    if row.group in {"village", "rendered"}:
+        return {"village": "villages", "rendered": "rendered flights"}[row.group]
+    if row.group == "real":
+        return "outages" if row.kind in "AB" else "false fixes"
+    if row.group != "stress":
+        return ""
+    if row.kind.startswith("nothing"):
+        return "recorded flights" if not row.flight.startswith("sim/") else "stress table"
+    if row.kind in BEYOND and row.size >= BEYOND[row.kind]:
+        return "beyond the fault table"
+    return "conflicts" if KINDS[row.kind].aids == "both" else "stress table"
+
+
+def groups_table(rows: Sequence[Row]) -> Table:
+    """One line for each group; "at most per hour": events above PL(1e-5), upper end at 95 % (3 / hours where there are none)."""
+    columns = ("group", "flights", "hours", *_REGIONS, *(f"vertical {r}" for r in _REGIONS), "HPL <= 10 m %", "> PL(1e-5)",
+               "at most per hour", "worst e / PL", "far while usable")  # fmt: skip
+    found = {name: [r for r in rows if group_of(r) == name] for name in GROUPS}
+    title = "Counts by group; levels at 1e-5 per hour, limits 10 m; the rate with 95 %"
+    return Table(title, columns, [_group_line(name, some) for name, some in found.items() if some])
+
+
+def _group_line(name: str, rows: Sequence[Row]) -> tuple[str, ...]:
+    hours, events = sum(r.hours for r in rows), sum(r.events[1] for r in rows)
+    sides = [[s for s in side if s] for side in ([r.horizontal for r in rows], [r.vertical for r in rows])]
+    compared = max(sum(s.compared for s in sides[0]), 1)
+    return (
+        *(name, str(len(rows)), f"{hours:.2f}"),
+        *(str(sum(getattr(s, region) for s in side)) for side in sides for region in _REGIONS),
+        f"{100.0 * sum(r.within_10_m for r in rows) / compared:.1f}",
+        *(str(events), f"{_PER_HOUR * bound(events, _PER_HOUR * hours):.2g}"),
+        *(number(max(r.worst for r in rows)), str(sum(r.hazards for r in rows))),
+    )
 
 
 def is_faulty(row: Row) -> bool:
@@ -80,11 +128,3 @@ def _delay(delays: Sequence[float | None]) -> str:
     never = sum(d is None for d in delays)
     middle, longest = (f"{d:.1f}" if np.isfinite(d) else "never" for d in (ordered[(len(ordered) - 1) // 2], ordered[-1]))
     return f"{middle} / {longest}" + (f", {never} of {len(ordered)} never" if never else "")
-
-
-def plot(rows: Sequence[Row], title: str) -> str:
-    """The Stanford plot of all rows, SVG."""
-    cells = [cell for r in rows for cell in r.cells]
-    error = np.repeat([10.0 ** (STEP * e) for e, _, _ in cells], [n for *_, n in cells])
-    level = np.repeat([np.inf if v == INFINITE else 10.0 ** (STEP * v) for _, v, _ in cells], [n for *_, n in cells])
-    return stanford(error, level, LIMITS.hal_m or np.inf, title)

@@ -1,6 +1,5 @@
 """One flight with protection levels, compared with its truth; or frames of the identification benchmark."""
 
-import math
 from pathlib import Path
 from typing import Final, TypeAlias
 
@@ -8,59 +7,31 @@ import msgspec
 import numpy as np
 
 from benchmarks.flights.tasks import Task
+from benchmarks.identification.images import FRAMES_PER_WORLD, run_world
+from benchmarks.identification.images import Outcome as RenderedOutcome
 from benchmarks.identification.numbers import WORLDS
 from benchmarks.identification.numbers import run as look_at
+from benchmarks.integrity import rendered
+from benchmarks.integrity.rows import LIMITS, Row, row_of
 from benchmarks.stress.cell import perturbed
 from benchmarks.stress.flights import Flight, load_flight, of_task
 from benchmarks.stress.perturbations import KINDS
 from estimator.config import parse
 from estimator.fusion import Fusion
-from estimator.integrity.config import IntegrityConfig
-from logs.evaluation.integrity import Regions, against_truth, regions
-from logs.evaluation.metrics import Mask, Times
 from logs.evaluation.trajectory import nearest
-from models.messages import Alert, Array, Estimate, Input, Integrity
+from models.messages import Estimate, Input, Integrity
 from models.sim.aids import Gnss, PoseFixes
 from models.sim.scenario import Scenario, simulate
 from models.sim.sensors import Imu
 from models.sim.trajectory import FixedWing, Multirotor
+from vision.synthetic.scenes import Layout
 
-# group (stress, real, village, looks); flight or world; kind, scenario or aids; size, seconds or frames; seed; folder of tasks
+# group (stress, real, village, rendered, looks, images); flight, light or world; kind, scenario, aids or prior; size, seconds or
+# frames; seed; folder of tasks
 Job: TypeAlias = tuple[str, str, str, float, int, str]
 
-LIMITS: Final = IntegrityConfig(hal_m=10.0, val_m=10.0)
-STEP: Final = 0.05  # of the counts kept for the plot, decades
-INFINITE: Final = 10**6  # stands for an infinite level there
 _NEAR_NS: Final = 15_000_000
-_APART_NS: Final = round(LIMITS.correlation_s * 1e9)
-
-
-class Row(msgspec.Struct, frozen=True):
-    """Of one job. horizontal, vertical: None where there was no estimate.
-
-    events: errors above the level at 1e-3, 1e-5, 1e-7 per hour, on either axis, those 10 s apart or more; hazards: errors above
-    the alert limit while the state is usable; alerts_s, stops_s: from the error passing the limit to a state other than usable,
-    and to "do not use" (None: not before it came back); worst: largest error / level at 1e-5; cells: error, level (in STEP
-    decades), how many; fixes, wrong: of the identification frames.
-    """
-
-    group: str
-    flight: str
-    kind: str
-    size: float
-    seed: int
-    hours: float = 0.0
-    horizontal: Regions | None = None
-    vertical: Regions | None = None
-    events: tuple[int, ...] = (0, 0, 0)
-    within_10_m: int = 0
-    hazards: int = 0
-    alerts_s: tuple[float | None, ...] = ()
-    stops_s: tuple[float | None, ...] = ()
-    worst: float = 0.0
-    cells: tuple[tuple[int, int, int], ...] = ()
-    fixes: int = 0
-    wrong: int = 0
+_SEEDS: Final = 1000  # of the rendered pairs, apart from those of docs/vision_identify.md
 
 
 def run(job: Job) -> Row:
@@ -70,6 +41,13 @@ def run(job: Job) -> Row:
         outcomes = look_at(WORLDS[name], round(size), seed)
         fixes, wrong = sum(o.fixed for o in outcomes), sum(o.wrong_fix for o in outcomes)
         return Row(group, name, kind, size, seed, fixes=fixes, wrong=wrong)
+    if group == "images":
+        pairs = images(name, kind, round(size), seed)
+        fixes, wrong = sum(o.error_m is not None for o in pairs), sum(o.wrong_fix for o in pairs)
+        return Row(group, name, kind, size, seed, fixes=fixes, wrong=wrong)
+    if group == "rendered":
+        row = rendered.fly(name, seed, Path(tasks) / f"{name} {seed}")
+        return msgspec.structs.replace(row, group=group, flight=name, kind=kind, size=size, seed=seed)
     flight: Flight | None
     if group == "stress":
         flight = load_flight(name, KINDS[kind].aids, seed, Path(tasks))
@@ -80,6 +58,14 @@ def run(job: Job) -> Row:
             return Row(group, name, kind, size, seed)
         messages = flight.messages
     return msgspec.structs.replace(measured(flight, messages), group=group, flight=name, kind=kind, size=size, seed=seed)
+
+
+def images(layout: str, prior: str, pairs: int, seed: int) -> list[RenderedOutcome]:
+    """Stereo pairs of rendered images; prior: "prior 10 m"."""
+    found = list[RenderedOutcome]()
+    for world in range(pairs // FRAMES_PER_WORLD):
+        found += run_world((msgspec.convert(layout, Layout), float(prior.split()[1]), False, _SEEDS + seed, 0, world))
+    return found
 
 
 def recorded(name: str, scenario: str, seed: int, tasks: Path) -> Flight | None:
@@ -130,62 +116,4 @@ def compared(flight: Flight, estimates: dict[int, Estimate], levels: list[Integr
     t_ns, row = t_ns[near], row[near]
     late_s = (t_ns - flight.t_ns[row]) * 1e-9
     estimated = np.array([estimates[t].nav[:3] for t in t_ns.tolist()]).reshape(-1, 3)
-    return _row(levels, t_ns, flight.p_n[row] + flight.v_n[row] * late_s[:, None] - estimated)
-
-
-def _row(levels: list[Integrity], t_ns: Times, error: Array) -> Row:
-    found = against_truth(levels, t_ns, error)
-    at = [levels[k] for k in found.row.tolist()]
-    if not at:
-        return Row("", "", "", 0.0, 0)
-    hpl, vpl = np.array([i.hpls_m for i in at]).T, np.array([i.vpls_m for i in at]).T
-    stamps = np.array([i.t_ns for i in at], np.int64)
-    above = [(found.horizontal > h) | (found.vertical > v) for h, v in zip(hpl, vpl, strict=True)]
-    usable = np.array([i.state is Alert.USABLE for i in at])
-    period_h = LIMITS.time_to_alert_s / 5.0 / 3600.0
-    hal, val = LIMITS.hal_m or math.inf, LIMITS.val_m or math.inf
-    too_far = (found.horizontal > hal) | (found.vertical > val)
-    far = (np.hypot(error[:, 0], error[:, 1]) > hal) | (np.abs(error[:, 2]) > val)
-    with np.errstate(divide="ignore"):
-        ratio = np.maximum(found.horizontal / hpl[1], found.vertical / vpl[1])
-    return Row(
-        "", "", "", 0.0, 0,
-        hours=len(at) * period_h,
-        horizontal=regions(found.horizontal, np.array([i.hpl_m for i in at]), hal, list(hpl)),
-        vertical=regions(found.vertical, np.array([i.vpl_m for i in at]), val, list(vpl)),
-        events=tuple(_events(stamps[mask]) for mask in above),
-        within_10_m=int(np.sum(hpl[1] <= 10.0)),
-        hazards=int(np.sum(too_far & usable)),
-        alerts_s=tuple(_delays(levels, t_ns, far, {Alert.CAUTION, Alert.DO_NOT_USE})),
-        stops_s=tuple(_delays(levels, t_ns, far, {Alert.DO_NOT_USE})),
-        worst=float(ratio.max()),
-        cells=_cells(found.horizontal, hpl[1]),
-    )  # fmt: skip
-
-
-def _events(stamps: Times) -> int:
-    """How many, those nearer than 10 s to the one before not counted."""
-    return int(np.sum(np.diff(stamps, prepend=-(2**62)) > _APART_NS)) if len(stamps) else 0
-
-
-def _delays(levels: list[Integrity], t_ns: Times, far: Mask, states: set[Alert]) -> list[float | None]:
-    """For each time that the error passes the limit: seconds to one of the states; None: not before the error came back."""
-    edges = np.flatnonzero(np.diff(far.astype(int), prepend=0, append=0))
-    delays: list[float | None] = []
-    last_ns = -(2**62)
-    for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        from_ns, to_ns = int(t_ns[begin]), int(t_ns[end - 1])
-        if from_ns - last_ns > _APART_NS:
-            before = [i.state for i in levels if i.t_ns <= from_ns]
-            alerted = [i.t_ns for i in levels if from_ns < i.t_ns <= to_ns and i.state in states]
-            now = bool(before) and before[-1] in states
-            delays.append(0.0 if now else (alerted[0] - from_ns) * 1e-9 if alerted else None)
-        last_ns = to_ns
-    return delays
-
-
-def _cells(error: Array, level: Array) -> tuple[tuple[int, int, int], ...]:
-    steps = np.round(np.log10(np.maximum(error, 1e-3)) / STEP).astype(int)
-    rows = np.where(np.isfinite(level), np.round(np.log10(np.where(np.isfinite(level), level, 1.0)) / STEP), INFINITE).astype(int)
-    pairs, counts = np.unique(np.stack([steps, rows], axis=1), axis=0, return_counts=True)
-    return tuple((int(e), int(v), int(n)) for (e, v), n in zip(pairs, counts, strict=True))
+    return row_of(levels, t_ns, flight.p_n[row] + flight.v_n[row] * late_s[:, None] - estimated)

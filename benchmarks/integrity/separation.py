@@ -21,7 +21,8 @@ import msgspec
 import numpy as np
 
 from benchmarks.flights.tasks import ROOT
-from benchmarks.integrity.runs import LIMITS, Row, compared, flown
+from benchmarks.integrity.rows import LIMITS, Row
+from benchmarks.integrity.runs import compared, flown
 from benchmarks.stress.cell import perturbed
 from benchmarks.stress.flights import load_flight
 from benchmarks.stress.perturbations import KINDS

@@ -22,6 +22,7 @@ from estimator.sources import rest
 from estimator.sources.air import drag
 from estimator.sources.air.through_air import AirVelocity, DragForce
 from estimator.sources.imu.choice import ImuAid
+from estimator.sources.landmark import position_innovation
 from estimator.sources.odometry import Kept, OdometryAid
 from estimator.sources.rest import Rest, RestConfig
 from estimator.sources.source import Aid, Phase, Refusal, SensorRules, SourceState
@@ -355,7 +356,8 @@ class Tracker(Alignment):
             state = state.held(aid.rules, aid.t_ns)
         ratio = verdict.seen.distance2 / verdict.gate
         detail = aid.detail if reason is not Reason.GATED else "; ".join(filter(None, (aid.detail, self._conflict())))
-        return Decision(reason, tuple(verdict.seen.nu.tolist()), tuple(sigma.tolist()), ratio, detail), state
+        place = position_innovation(z, verdict.seen.nu, verdict.seen.s) if aid.absolute else None
+        return Decision(reason, tuple(verdict.seen.nu.tolist()), tuple(sigma.tolist()), ratio, detail, place), state
 
     def _note_receiver(self, aid: Aid, z: Measurement) -> None:
         """Whether a receiver stands elsewhere than the estimate, which rejects its positions or its velocities."""

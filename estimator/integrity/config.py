@@ -36,6 +36,9 @@ class IntegrityConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     landmark_fault_per_hour: Annotated[_Rate, Meta(description="1/h: one false fix that passes the gate")] = 1.0
     map_fault_per_hour: Annotated[_Rate, Meta(description="1/h: the map is shifted")] = 1e-4
     map_shift_m: Annotated[float, Meta(ge=0, le=1e4, description="m: by this much at most")] = 3.0
+    map_scale_percent: Annotated[
+        float, Meta(ge=0, le=100, description="%: the map's distances from the origin are wrong, by this much at most")
+    ] = 0.1
     rig_fault_per_hour: Annotated[_Rate, Meta(description="1/h: the cameras have turned on their mount")] = 1e-4
     rig_turn_deg: Annotated[float, Meta(ge=0, le=90, description="deg: by this much at most, landmarks 50 m away")] = 1.0
     timing_fault_per_hour: Annotated[_Rate, Meta(description="1/h: the stamps of a source are wrong")] = 1e-4

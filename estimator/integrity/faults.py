@@ -15,7 +15,7 @@ bounds it, so Bayes' rule with the likelihood of d without a fault, exp(-t^2 / 2
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Final, NamedTuple
 
 from estimator.filter.hypotheses import Hypotheses, Hypothesis
@@ -28,7 +28,6 @@ GNSS, FIX = "gnss_position", "pose"  # kinds of absolute sources
 IN_USE_S: Final = 60.0  # since it was last fused: what it did is in the estimate so long
 OTHER_SOURCE_S: Final = 2.0  # old at most, a position of another source that the estimate is compared with
 _GATED_SIGMAS: Final = 4.0
-_EXTENT: Final = 3
 
 
 class Position(NamedTuple):
@@ -113,12 +112,15 @@ def _of_source(topic: str, position: Position, now: Snapshot, nominal: Fault, co
     """One source wrong for long: by any distance, which only another source bounds, and by the kinds that have a bound."""
     is_gnss = position.kind == GNSS
     any_size = config.gnss_fault_per_hour if is_gnss else config.fix_fault_per_hour
-    v = now.hypotheses.lead.x[X.V].tolist()
+    lead = now.hypotheses.lead
+    v = lead.x[X.V].tolist()
     late_h, late_v = math.hypot(v[0], v[1]) * config.timing_s, abs(v[2]) * config.timing_s
     kinds = [(f"stamps of {topic} wrong", config.timing_fault_per_hour, late_h, late_v)]
     if not is_gnss:
         shift, turn = config.map_shift_m, math.radians(config.rig_turn_deg) * RADIAN_M
+        n, e, d = (0.01 * config.map_scale_percent * lead.x[X.P]).tolist()
         kinds.append(("the map shifted", config.map_fault_per_hour, shift, shift))
+        kinds.append(("the map's scale wrong", config.map_fault_per_hour, math.hypot(n, e), abs(d)))
         kinds.append(("the cameras turned on their mount", config.rig_fault_per_hour, turn, turn))
     prior, name = _share(any_size, config), f"{topic} wrong for long"
     without = list(_without(topic, position, now, config))
@@ -150,8 +152,8 @@ def _without(
         if other == topic or not fresh or other in rejected or (seen.kind == GNSS and position.kind == GNSS):
             continue
         n, e, d = seen.innovation
-        sigma_h, sigma_v = max(seen.sigma[:2]), seen.sigma[2]
-        t2 = sum((x / s) * (x / s) for x, s in zip(seen.innovation, seen.sigma, strict=True))
+        sigma_h, sigma_v = max(seen.sigma[0], seen.sigma[1]), seen.sigma[2]
+        t2 = (n / seen.sigma[0]) ** 2 + (e / seen.sigma[1]) ** 2 + (d / sigma_v) ** 2
         yield math.hypot(n, e), sigma_h, abs(d), sigma_v, t2
 
 
@@ -170,7 +172,7 @@ def _separated(name: str, probability: float, member: Hypothesis, lead: Hypothes
 
 def _moved(nominal: Fault, name: str, probability: float, offset_h: float, offset_v: float) -> Fault:
     """Nominal errors about an offset."""
-    return nominal._replace(name=name, probability=probability, offset_h=offset_h, offset_v=offset_v)
+    return Fault(name, probability, offset_h, nominal.sigma_h, offset_v, nominal.sigma_v)
 
 
 def _t2(f: Fault) -> float:
@@ -187,8 +189,3 @@ def _sigmas(P: Array) -> tuple[float, float]:
 
 def _share(rate_per_hour: float, config: IntegrityConfig) -> float:
     return allowed(rate_per_hour, config.correlation_s)
-
-
-def position_of(innovation: Sequence[float], detail: str) -> bool:
-    """Whether the innovation of an absolute source begins with a position in NED; directions of a fix in part are none."""
-    return len(innovation) >= _EXTENT and "directions" not in detail

@@ -7,11 +7,13 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Final
 
+import numpy as np
+
 from estimator.filter.tracker import Tracker
 from estimator.integrity.alert import CAUTION_RISK, Judge, Levels
 from estimator.integrity.config import IntegrityConfig
-from estimator.integrity.faults import FIX, GNSS, IN_USE_S, Fault, Position, Snapshot, faults, position_of
-from estimator.integrity.protection import Mode, Tail, allowed, exceeded, in_plane, one_axis, protection_level
+from estimator.integrity.faults import FIX, GNSS, IN_USE_S, Fault, Position, Snapshot, faults
+from estimator.integrity.protection import Mode, Tail, allowed, exceeded, in_plane, one_axis, protection_level, protection_levels
 from models.messages import AidStatus, Alert, Integrity, Reason
 from models.state import E
 
@@ -36,6 +38,8 @@ class Monitor:
         self.last: Integrity | None = None
         risks = (*RISKS, config.risk_per_hour, min(1.0, CAUTION_RISK * config.risk_per_hour))
         self._shares = [allowed(risk, config.correlation_s) for risk in risks]
+        self._once, each = np.unique(self._shares, return_inverse=True)
+        self._each = each.tolist()
         gaussian = [Mode("", 1.0, 0.0, 1.0)]  # of sigma 1 m, at the first risk
         pure = Tail(1.0, 1.0, 0.0)
         self._units = [protection_level(gaussian, self._shares[0], pure, q) for q in (in_plane, one_axis)]
@@ -50,16 +54,15 @@ class Monitor:
         last = self.last
         return "" if last is None else f"{last.state}: {last.reason}" if last.reason else str(last.state)
 
-    def note(self, status: AidStatus) -> None:
-        """What became of a measurement."""
+    def note(self, status: AidStatus, position: tuple[tuple[float, ...], tuple[float, ...]] | None) -> None:
+        """What became of a measurement, and its innovation as a position with the sigma, if it is one."""
         if status.kind not in {GNSS, FIX}:
             return
         last = self._positions.get(status.topic)
         used_ns = status.t_ns if status.reason in _USED else _NEVER
         fused_ns = max(used_ns, last.fused_ns if last else _NEVER)
-        if position_of(status.innovation, status.detail) and (last is None or status.t_ns >= last.t_ns):
-            innovation, sigma = status.innovation[:3], status.innovation_sigma[:3]
-            self._positions[status.topic] = Position(status.kind, status.t_ns, innovation, sigma, fused_ns)
+        if position is not None and (last is None or status.t_ns >= last.t_ns):
+            self._positions[status.topic] = Position(status.kind, status.t_ns, *position, fused_ns)
         elif last is not None:
             self._positions[status.topic] = last._replace(fused_ns=fused_ns)
         else:
@@ -105,15 +108,8 @@ class Monitor:
         """At each of the risks; infinite without an estimate."""
         if found is None:
             return [_UNKNOWN] * len(self._shares)
-        horizontal, vertical = [f.horizontal for f in found], [f.vertical for f in found]
-        solved = {
-            share: Levels(
-                protection_level(horizontal, share, self._tail, in_plane),
-                protection_level(vertical, share, self._tail, one_axis),
-            )
-            for share in set(self._shares)
-        }
-        return [solved[share] for share in self._shares]
+        h, v = protection_levels(np.array([f[1:] for f in found]), self._once, self._tail)
+        return [Levels(h[k], v[k]) for k in self._each]
 
     def _faults(self, tracker: Tracker, t_ns: int) -> list[Fault] | None:
         """None without an estimate, or with one that is not finite."""

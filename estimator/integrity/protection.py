@@ -24,6 +24,11 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
+import numpy as np
+from numba import njit
+
+from models.messages import Array
+
 _EXACT: Final = 2e-3  # of a protection level, relative; rounded up
 _TINY, _TINY_M = 1e-300, 1e-9
 _MOST_STEPS: Final = 40
@@ -73,46 +78,81 @@ def exceeded(modes: Sequence[Mode], level_m: float, tail: Tail, exceeds: Callabl
     return [m.probability * tail.level(exceeds, _reduced(level_m - m.offset, m.sigma)) for m in modes]
 
 
-def protection_level(modes: Sequence[Mode], probability: float, tail: Tail, exceeds: Callable[[float], float]) -> float:
-    """PL [m], not below the exact solution and at most two thousandths above it; inf where no distance is enough.
+def protection_levels(modes: Array, probabilities: Array, tail: Tail) -> tuple[list[float], list[float]]:
+    """HPL and VPL [m] at each probability (m,); inf where no distance is enough.
 
-    In a bracket, by regula falsi on the logarithm (Illinois rule; Dowell and Jarratt 1971). Its upper end comes from
-    Q(z) <= exp(-(z / t)^2 / 2): each of n bounded modes gets an equal share of what the unbounded ones leave.
+    modes (n, 5): rows p, horizontal b and sigma, vertical b and sigma. Not below the exact solution, at most .002 of it above.
     """
-    bounded = [(m.probability, m.offset, max(m.sigma, _TINY_M)) for m in modes if math.isfinite(m.offset + m.sigma)]
-    left = probability - sum(m.probability for m in modes if not math.isfinite(m.offset + m.sigma))
-    if left <= 0.0:
-        return math.inf
-    if sum(p for p, _, _ in bounded) <= left:
-        return 0.0
-    core, c, e, t = 1.0 - tail.tail_share, tail.core_scale, tail.tail_share, tail.tail_scale
+    h, v = _solutions(modes, probabilities, *tail).tolist()
+    return h, v
 
-    def reach(p: float, offset: float, sigma: float) -> float:
-        share = min(1.0, left / max(len(bounded) * p, _TINY))
-        return offset + sigma * max(c, t) * math.sqrt(-2.0 * math.log(share)) if share < 1.0 else 0.0
 
-    def excess(level_m: float) -> float:
-        """ln of the sum over what is allowed; most of the time of all this goes by here."""
-        total = 0.0
-        for p, offset, sigma in bounded:
-            z = (level_m - offset) / sigma
-            total += p * (core * exceeds(z / c) + e * exceeds(z / t)) if z > 0.0 else p
-        return math.log(max(total, _TINY) / left)
+def protection_level(modes: Sequence[Mode], probability: float, tail: Tail, exceeds: Callable[[float], float]) -> float:
+    """Of one direction, at one probability."""
+    alike = np.array([(p, b, sigma, b, sigma) for _, p, b, sigma in modes]).reshape(-1, 5)
+    h, v = protection_levels(alike, np.array([probability]), tail)
+    return (h if exceeds is in_plane else v)[0]
 
-    low, high = 0.0, max(reach(*mode) for mode in bounded)
-    at_low, at_high = excess(low), excess(high)
-    for _ in range(_MOST_STEPS):
-        if high - low <= _EXACT * high:
-            break
-        middle = (low * at_high - high * at_low) / (at_high - at_low)
-        if not low < middle < high:
-            middle = 0.5 * (low + high)
-        value = excess(middle)
-        if value > 0.0:
-            low, at_low, at_high = middle, value, 0.5 * at_high
+
+@njit(cache=True, error_model="numpy")
+def _solutions(modes: Array, allowed: Array, core_scale: float, tail_scale: float, tail_share: float) -> Array:
+    """(2, m), in a bracket by regula falsi on the logarithm (Illinois rule; Dowell and Jarratt 1971).
+
+    Its upper end comes from Q(z) <= exp(-(z / t)^2 / 2): each of n bounded modes gets an equal share of what the others leave.
+    """
+    levels = np.empty((2, len(allowed)))
+    for axis, k in np.ndindex(levels.shape):
+        p, b = modes[:, 0], modes[:, 1 + 2 * axis]
+        sigma = np.maximum(modes[:, 2 + 2 * axis], _TINY_M)
+        bounded = np.isfinite(b + sigma)
+        left = allowed[k] - p[~bounded].sum()
+        p, b, sigma = p[bounded], b[bounded], sigma[bounded]
+        if left <= 0.0:
+            levels[axis, k] = np.inf
+            continue
+        if p.sum() <= left:
+            levels[axis, k] = 0.0
+            continue
+        low, high = 0.0, 0.0
+        for i in range(len(p)):
+            share = left / max(len(p) * p[i], _TINY)
+            if share < 1.0:
+                high = max(high, b[i] + sigma[i] * max(core_scale, tail_scale) * math.sqrt(-2.0 * math.log(share)))
+        tail = core_scale, tail_scale, tail_share, axis == 0
+        at_low, at_high = _excess(p, b, sigma, low, left, *tail), _excess(p, b, sigma, high, left, *tail)
+        for _ in range(_MOST_STEPS):
+            if high - low <= _EXACT * high:
+                break
+            middle = (low * at_high - high * at_low) / (at_high - at_low)
+            if not low < middle < high:
+                middle = 0.5 * (low + high)
+            value = _excess(p, b, sigma, middle, left, *tail)
+            if value > 0.0:
+                low, at_low, at_high = middle, value, 0.5 * at_high
+            else:
+                high, at_high, at_low = middle, value, 0.5 * at_low
+        levels[axis, k] = high
+    return levels
+
+
+@njit(cache=True, error_model="numpy")
+def _excess(
+    p: Array, b: Array, sigma: Array, level_m: float, left: float,
+    core_scale: float, tail_scale: float, tail_share: float, in_plane: bool,
+) -> float:  # fmt: skip
+    """ln of the sum over what is allowed."""
+    total = 0.0
+    for i in range(len(p)):
+        z = (level_m - b[i]) / sigma[i]
+        if z <= 0.0:
+            total += p[i]
+        elif in_plane:
+            total += p[i] * (1.0 - tail_share) * math.exp(-0.5 * (z / core_scale) ** 2)
+            total += p[i] * tail_share * math.exp(-0.5 * (z / tail_scale) ** 2)
         else:
-            high, at_high, at_low = middle, value, 0.5 * at_low
-    return high
+            total += p[i] * (1.0 - tail_share) * math.erfc(z / core_scale * math.sqrt(0.5))
+            total += p[i] * tail_share * math.erfc(z / tail_scale * math.sqrt(0.5))
+    return math.log(max(total, _TINY) / left)
 
 
 def _reduced(distance_m: float, sigma_m: float) -> float:

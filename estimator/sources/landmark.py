@@ -8,11 +8,12 @@ from msgspec.structs import replace
 
 from estimator.sources.pose import FARTHEST_M, WHOLE, PoseConfig, lasting, pose_aid, pose_of, slow_errors_of
 from estimator.sources.source import FALSE_POSITION_M, Aid, Refusal, SlowError, covariance_refusal, log_false, order
-from models.measurements import DIRECTION_SCALE, PartialPose
+from models.measurements import DIRECTION_SCALE, Measurement, PartialPose
 from models.messages import Array, LandmarkFix, Reason
 
 _ROUNDING = 1e-6  # of the directions' products
 _LARGEST = 1e12  # m^2 or rad^2: no variance is larger
+_XYZ, _WHOLE_POSE = 3, 6
 _FIXES_PLACE = 0.05  # smallest gain from position to reading with which, the attitude known, the position is known
 
 
@@ -86,6 +87,21 @@ def _directions_refusal(directions: Array, readings: Array) -> Refusal | None:
 def _fixes_place(directions: Array) -> bool:
     """Whether the position is known where the attitude is."""
     return len(directions) >= 3 and bool(np.linalg.svd(directions[:, :3], compute_uv=False)[-1] > _FIXES_PLACE)
+
+
+def position_innovation(z: Measurement, nu: Array, s: Array) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
+    """Innovation and sigma of the position, (3,) NED m, of nu (r,) with S (r, r); None where the reading has no whole position.
+
+    D = R diag(scale) with R R^T = I: where R is square, scale (x_true (-) z) = R^T nu, and positions have the scale 1.
+    """
+    if isinstance(z, PartialPose):
+        if len(z.directions) < _WHOLE_POSE:
+            return None
+        back = z.directions[:, :_XYZ].T
+        nu, s = back @ nu, back @ s @ back.T
+    elif len(nu) < _XYZ:
+        return None
+    return tuple(nu[:_XYZ].tolist()), tuple(np.sqrt(s.diagonal()[:_XYZ]).tolist())
 
 
 def _seen_along(directions: Array, slow: SlowError) -> SlowError:

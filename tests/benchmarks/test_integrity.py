@@ -8,8 +8,9 @@ import pytest
 
 from benchmarks.integrity.__main__ import cluster, jobs
 from benchmarks.integrity.record import added
-from benchmarks.integrity.report import _delay, bound, is_faulty, plot, summary, table
-from benchmarks.integrity.runs import Row, _delays, _events, run
+from benchmarks.integrity.report import _delay, bound, is_faulty, summary, table
+from benchmarks.integrity.rows import Row, _delays, _events
+from benchmarks.integrity.runs import run
 from models.messages import Alert, Integrity
 
 S = 1_000_000_000
@@ -59,7 +60,9 @@ def test_a_shifted_map_beside_gnss_is_covered_and_alerted_at_once(tmp_path: Path
     assert "no fault injected: 0.0" in said
     assert "identification: 5 frames" in said
     assert len(table(rows).rows) == 2
-    assert "unavailable" in plot(rows, "all")
+    assert [line[0] for line in groups_table(rows).rows] == ["villages", "beyond the fault table"]
+    draw(rows, tmp_path / "stanford.png")
+    assert (tmp_path / "stanford.png").stat().st_size > 10_000
 
 
 def test_a_delay_that_never_ended_is_the_longest() -> None:
@@ -83,9 +86,9 @@ def test_the_record_counts_a_job_once_and_keeps_the_others(tmp_path: Path) -> No
 
 
 def test_jobs_are_named_once() -> None:
-    work = jobs(Path("tasks"), quick=True, seeds=1, looks=12_000)
+    work = jobs(Path("tasks"), quick=True, seeds=1, looks=12_000, images=144)
     assert len(set(work)) == len(work)
-    assert {job[0] for job in work} == {"village", "stress", "looks"}
+    assert {job[0] for job in work} == {"village", "stress", "looks", "images"}
 
 
 def test_without_a_scheduler_processes_here_do_the_work() -> None:

@@ -50,13 +50,17 @@ _MOVED_SIGMA = 4.0  # positions that differ by more are of a vehicle that moves
 
 
 class Decision(NamedTuple):
-    """What became of a measurement (the part of AidStatus that does not depend on arrival)."""
+    """What became of a measurement (the part of AidStatus that does not depend on arrival).
+
+    position: the innovation of the position and its sigma, (3,) each, NED m; None where the measurement has none.
+    """
 
     reason: Reason
     innovation: tuple[float, ...] = ()
     innovation_sigma: tuple[float, ...] = ()
     test_ratio: float = 0.0
     detail: str = ""
+    position: tuple[tuple[float, ...], tuple[float, ...]] | None = None
 
 
 @dataclass(frozen=True, slots=True)

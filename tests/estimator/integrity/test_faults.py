@@ -49,6 +49,7 @@ def test_a_source_alone_is_not_bounded_and_has_faults_of_known_size() -> None:
     assert math.isinf(alone.sigma_h)
     assert alone.probability == pytest.approx(1e-6 * SHARE)
     assert found["the map shifted"].offset_h == CONFIG.map_shift_m
+    assert found["the map's scale wrong"].offset_h == 0.0
     assert found["the cameras turned on their mount"].offset_v == pytest.approx(math.radians(1.0) * 50.0)
     assert found["stamps of /fix wrong"].offset_h == pytest.approx(0.5)
     assert found["stamps of /fix wrong"].offset_v == pytest.approx(0.2)
@@ -111,3 +112,11 @@ def test_a_rejected_source_can_be_left_out() -> None:
     excluding = msgspec.structs.replace(CONFIG, exclude_rejected=True)
     assert _by_name(faults(_now([lead], apart), CONFIG))["/fix wrong for long"].offset_h == 30.0
     assert "/fix wrong for long" not in _by_name(faults(_now([lead], apart), excluding))
+
+
+def test_a_wrong_scale_grows_with_the_distance_from_the_origin() -> None:
+    now = _now([Hypothesis(_filter((300.0, 400.0, -100.0), 0.5))], {"/fix": _position("pose", (0.1, 0.0, 0.0))})
+    scale = _by_name(faults(now, msgspec.structs.replace(CONFIG, map_scale_percent=2.0)))["the map's scale wrong"]
+    assert scale.offset_h == pytest.approx(10.0)
+    assert scale.offset_v == pytest.approx(2.0)
+    assert scale.probability == pytest.approx(CONFIG.map_fault_per_hour * SHARE)

@@ -1,4 +1,5 @@
 import math
+from collections.abc import Callable
 
 import msgspec
 import numpy as np
@@ -8,11 +9,12 @@ from estimator.config import parse
 from estimator.fusion import Fusion
 from estimator.integrity.config import IntegrityConfig
 from models.frames import Origin
-from models.messages import Alert, Array, Estimate, GnssFix, Health, Input, Integrity, Output, PoseFix, vec3
+from models.messages import Alert, Array, Estimate, GnssFix, Health, Input, Integrity, LandmarkFix, Output, PoseFix, vec3
 from models.sim.aids import Gnss, PoseFixes
 from models.sim.scenario import Scenario, simulate
 from models.sim.sensors import Imu
 from models.sim.trajectory import Multirotor
+from tests.estimator.partial import in_part, orthonormal
 
 S = 1_000_000_000
 LIMITS = IntegrityConfig(hal_m=10.0, val_m=12.0)
@@ -21,7 +23,15 @@ LIMITS = IntegrityConfig(hal_m=10.0, val_m=12.0)
 class Run:
     """A simulated flight through Fusion, with truth at hand."""
 
-    def __init__(self, config: IntegrityConfig, *, gnss: bool = True, shift_m: float = 0.0, until_s: float = 99.0) -> None:
+    def __init__(
+        self,
+        config: IntegrityConfig,
+        *,
+        gnss: bool = True,
+        shift_m: float = 0.0,
+        until_s: float = 99.0,
+        changed: Callable[[Input], Input] = lambda m: m,
+    ) -> None:
         scenario = Scenario(
             duration_s=40.0,
             vehicle=Multirotor(seed=0),
@@ -38,7 +48,7 @@ class Run:
             late = (message.t_ns - self.start_ns) * 1e-9
             if isinstance(message, PoseFix) and late > until_s:
                 continue
-            self.outputs += fusion.handle(_shifted(message, shift_m if late > 20.0 else 0.0))
+            self.outputs += fusion.handle(changed(_shifted(message, shift_m if late > 20.0 else 0.0)))
         self.integrity = [o for o in self.outputs if isinstance(o, Integrity)]
 
     def estimates(self) -> list[Estimate]:
@@ -76,6 +86,31 @@ def test_two_sources_that_agree_are_usable_and_the_bound_holds(both: Run) -> Non
     assert all(math.isfinite(i.hpls_m[-1]) and i.hpl_m < 5.0 for i in settled)
     error, level = both.errors().T
     assert (error < level).all()
+
+
+def _along_directions(count: int) -> Callable[[Input], Input]:
+    """Fixes as landmarks give them: along orthonormal directions that mix position and attitude."""
+    rows = orthonormal(np.random.default_rng(5).standard_normal((count, 6)))
+    return lambda m: in_part(m, rows, np.zeros(6 - count)) if isinstance(m, PoseFix) else m
+
+
+def _whole(message: Input) -> Input:
+    found = _along_directions(6)(message)
+    return msgspec.structs.replace(found, directions=None) if isinstance(found, LandmarkFix) else found
+
+
+def test_fixes_along_six_directions_check_a_receiver_as_whole_ones_do() -> None:
+    seen, whole = Run(LIMITS, changed=_along_directions(6)), Run(LIMITS, changed=_whole)
+    settled = [i for i in seen.integrity if i.t_ns > seen.start_ns + 15 * S]
+    assert {i.state for i in settled} == {Alert.USABLE}
+    for t_s in (16.0, 25.0, 38.0):
+        assert seen.at(t_s).hpls_m == pytest.approx(whole.at(t_s).hpls_m, rel=0.02)
+        assert seen.at(t_s).vpls_m == pytest.approx(whole.at(t_s).vpls_m, rel=0.02)
+
+
+def test_fixes_in_part_check_no_position() -> None:
+    seen = Run(LIMITS, changed=_along_directions(5))
+    assert math.isinf(seen.at(38.0).hpls_m[1])
 
 
 def test_it_comes_five_times_in_the_time_to_alert(both: Run) -> None:
