@@ -22,14 +22,14 @@ def row(name: str, some: list[Answer]) -> tuple[str, ...]:
     """Figures of trials with the right map."""
     fixed = [a for a in some if a.accepted]
     off, squared = np.array([a.off_m for a in fixed]), np.array([a.squared for a in fixed])
-    inside = float(np.mean(squared < 5.991)) if len(fixed) else math.nan
+    inside = float(np.mean(squared < 5.991)) if fixed else math.nan
     none = math.nan
     return (
         name, str(len({a.tile for a in some})), str(len(some)), f"{len(fixed) / max(len(some), 1):.0%}",
-        number(float(np.median(off)) if len(fixed) else none), number(float(off.max()) if len(fixed) else none),
-        number(float(np.median([a.error_m for a in fixed])) if len(fixed) else none),
-        number(float(np.median([a.radius_m for a in fixed])) if len(fixed) else none),
-        number(float(squared.mean()) / 2.0 if len(fixed) else none), f"{inside:.0%}" if len(fixed) else "-",
+        number(float(np.median(off)) if fixed else none), number(float(off.max()) if fixed else none),
+        number(float(np.median([a.error_m for a in fixed])) if fixed else none),
+        number(float(np.median([a.radius_m for a in fixed])) if fixed else none),
+        number(float(squared.mean()) / 2.0 if fixed else none), f"{inside:.0%}" if fixed else "-",
         str(sum(a.squared > 9.0 * 5.991 for a in fixed)), number(1e3 * float(np.median([a.cpu_s for a in some]))),
     )  # fmt: skip
 

@@ -13,7 +13,6 @@ import numpy as np
 from benchmarks.aerial.trials import Case, Spread, Trial, nadir_rig, run
 from benchmarks.flights.tasks import data_folder
 from benchmarks.houses.tiles import Tile, elsewhere, tiles
-from models import so3
 from models.maps.landmarks import Landmark
 from models.messages import Array
 from models.radius import horizontal_radius
@@ -62,14 +61,12 @@ def answer(job: Job) -> Answer:
     marks = tile.marks if kind == "true" else elsewhere(tile, kind, [t for t in every if t.group != group], rng)
     marks = _some(tile, marks, size, rng)
     rig = nadir_rig(tile.camera)
-    case = Case(group, name, tile.image, rig, tile.landmarks(marks), tile.p_n, np.eye(3), (), lambda p, _: math.nan)
+    case = Case(group, name, tile.image, rig, tile.landmarks(marks), tile.p_n, np.eye(3), (), lambda *_: math.nan)
     prior = SPREAD.draw(rng, tile.p_n, np.eye(3))
     outcome, result = run(Trial(case, k, prior), "predict")
     base = Answer(group, name, kind, len(marks), outcome.outcome, outcome.detail, outcome.cpu_s)
     if drawn:
-        pose = (
-            (prior.p_n, so3.matrix(prior.q_nb_wxyz)) if result.pose is None else (result.pose.joint_p_n, result.pose.joint_R_nb)
-        )
+        pose = (prior.p_n, prior.R_nb) if result.pose is None else (result.pose.joint_p_n, result.pose.joint_R_nb)
         image = draw_overlay(tile.image, rig.left, *rig.camera_pose(*pose), list(case.landmarks), (), None, [outcome.outcome])
         cv2.imwrite(str(OUT / f"{outcome.outcome} {group} {name} {kind} {size} {k}.png".replace(" ", "_")), image)
     if result.pose is None:
