@@ -12,10 +12,11 @@ import numpy as np
 
 from benchmarks.aerial.trials import Case, Spread, Trial, nadir_rig, run
 from benchmarks.flights.tasks import data_folder
-from benchmarks.houses.tiles import Tile, elsewhere, tiles
+from benchmarks.houses.tiles import FOCAL_PX, Tile, elsewhere, tiles
 from models.maps.landmarks import Landmark
 from models.messages import Array
 from models.radius import horizontal_radius
+from vision.identify.identify import Prior
 from vision.show.overlay import draw_overlay
 
 OUT = Path(__file__).resolve().parents[2] / "out" / "houses"
@@ -27,7 +28,7 @@ _MARGIN = 0.1  # of the image: the middle of the set's first footprint is not ne
 
 class Answer(msgspec.Struct, frozen=True):
     """What became of a trial. off_m: how far the footprints are put from where they are; error_m: horizontal error of fix and
-    prior; squared: its square over the covariance; radius_m: what is claimed (95 %).
+    prior; squared: its square over the covariance; radius_m: what is claimed (95 %); naive_m: as off_m, of naive().
     """
 
     group: str
@@ -41,6 +42,7 @@ class Answer(msgspec.Struct, frozen=True):
     error_m: float = math.nan
     squared: float = math.nan
     radius_m: float = math.nan
+    naive_m: float = math.nan
 
     @property
     def accepted(self) -> bool:
@@ -65,6 +67,7 @@ def answer(job: Job) -> Answer:
     prior = SPREAD.draw(rng, tile.p_n, np.eye(3))
     outcome, result = run(Trial(case, k, prior), "predict")
     base = Answer(group, name, kind, len(marks), outcome.outcome, outcome.detail, outcome.cpu_s)
+    base = msgspec.structs.replace(base, naive_m=_off(tile, marks, naive(tile, marks, prior), prior.R_nb))
     if drawn:
         pose = (prior.p_n, prior.R_nb) if result.pose is None else (result.pose.joint_p_n, result.pose.joint_R_nb)
         image = draw_overlay(tile.image, rig.left, *rig.camera_pose(*pose), list(case.landmarks), (), None, [outcome.outcome])
@@ -77,6 +80,26 @@ def answer(job: Job) -> Answer:
         base, off_m=_off(tile, marks, p_n, R_nb), error_m=float(np.linalg.norm(e)), squared=float(e @ np.linalg.solve(P, e)),
         radius_m=float(horizontal_radius(P[None])[0]),
     )  # fmt: skip
+
+
+def naive(tile: Tile, marks: tuple[Landmark, ...], prior: Prior) -> Array:
+    """p_n where the outlines, drawn from the prior, correlate best with the image's Sobel magnitude, within 3 sigma: no check."""
+    camera, R_nc = tile.camera, nadir_rig(tile.camera).camera_pose(prior.p_n, prior.R_nb)[1]
+    scale = float(-prior.p_n[2]) / FOCAL_PX
+    reach = math.ceil(3.0 * math.sqrt(float(prior.covariance[0, 0])) / scale)
+    grey = cv2.cvtColor(tile.image, cv2.COLOR_BGR2GRAY)
+    slope = cv2.magnitude(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
+    lines = np.zeros(grey.shape, np.uint8)
+    for mark in marks:
+        roof = np.column_stack((mark.outline_n, np.full(len(mark.outline_n), mark.roof_d)))
+        px = camera.project((roof - prior.p_n) @ R_nc)
+        cv2.polylines(lines, [np.rint(px).astype(np.int32)], isClosed=True, color=255, thickness=2)
+    padded = cv2.copyMakeBorder(slope, reach, reach, reach, reach, cv2.BORDER_REFLECT)
+    match = np.nan_to_num(cv2.matchTemplate(padded, lines.astype(np.float32), cv2.TM_CCOEFF_NORMED))
+    v, u = np.unravel_index(int(np.argmax(match)), match.shape)
+    step = scale * np.array([u - reach, v - reach, 0.0]) @ R_nc.T
+    found: Array = prior.p_n - np.array([step[0], step[1], 0.0])
+    return found
 
 
 def _some(tile: Tile, marks: tuple[Landmark, ...], size: int, rng: np.random.Generator) -> tuple[Landmark, ...]:

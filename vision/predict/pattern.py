@@ -35,7 +35,8 @@ from vision.records.reports import Result, fix_of, pose_flaw
 NAME = "(outlines)"  # all of them count as one landmark, as wrong on the map as one of them is
 _ROOF_PX = 32.0  # wider roofs are fitted edge by edge
 _WIDEST_PX, _NARROWEST_PX = 48.0, 8.0  # of the roofs in the reduced image that is searched
-_SEVERAL = 3  # outlines, where turn and scale are searched too
+_SEVERAL = 3  # outlines, where turn and scale are searched too; there a fit to more than
+_HALF = 0.5  # of those in view needs no pattern beside it
 _MOST = 300_000  # positions, turns and scales that are tried
 _STIFF_PX = 3.0  # what turn and scale may move the outlines' ends: as much as an edge is wide
 _APART_PX = 8.0  # nearer positions are one, as for the window of a fit
@@ -54,7 +55,8 @@ def judged(
     """What predict and verify says, beside the pattern of all outlines."""
     eye = eyes(rig)[int(images.only_right)]
     narrow = _only_shifts(move, config) and config.sigmas * move.shift_px <= limit_px(eye.camera, config)
-    if not narrow and (result.pose is not None or len(marks) < _SEVERAL):
+    trusted = result.fix is not None and len(result.fix.landmarks) > _HALF * len(marks)
+    if not narrow and (trusted or len(marks) < _SEVERAL):
         return result
     best = best_shift(eye, images, marks, move, config)
     if best is None:
@@ -63,7 +65,7 @@ def judged(
         return _as_fix(result, one_eyed(rig, right=images.only_right), marks, move, best) if best.ratio >= SURE else result
     error = difference(result.pose.joint_p_n, result.pose.joint_R_nb, move.prior.p_n, move.prior.q_nb_wxyz)
     off_px = float(np.linalg.norm(move.J[:2] @ error - best.q[:2]))
-    if off_px > _APART_PX:
+    if off_px > _APART_PX * best.step_px:
         return refused(result, "no_pose", f"all outlines together lie {off_px:.0f} px from the fit")
     if best.ratio < _LIKELY:
         return refused(result, "ambiguous", f"all outlines together lie {1.0 / best.ratio:.0%} as well elsewhere")
@@ -124,7 +126,7 @@ def _grid(move: Motion, config: CoarseConfig) -> tuple[int, Array, Array, Array]
 
 
 def _as_fix(result: Result, rig: StereoRig, marks: Sequence[Landmark], move: Motion, best: Summit) -> Result:
-    """The summit as a fix: the middle of the outlines in view is where it was seen. rig: the camera that saw it is the left one."""
+    """The summit as a fix: the middle of the outlines in view lies where it was seen. rig: whose left camera saw it."""
     p_nc, R_nc = rig.camera_pose(*move.pose(move.gain @ best.q))
     roofs = Prisms.of(marks).roofs
     inside = rig.left.contains(rig.left.project((roofs - p_nc) @ R_nc))
