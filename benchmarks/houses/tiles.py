@@ -24,14 +24,14 @@ FOLDER = "images/building_tiles"
 FOCAL_PX = 400.0  # so that 0.3 m a pixel are seen from 120 m
 ORIGIN = (48.0, 11.0, 0.0)
 SIGMA_M = 0.7  # of each outline: drawn by hand, and roofs lean
-_SETS = {  # metres a pixel; the images, the masks
-    "Inria": (0.3, "inria/images/*.png", lambda p: p.parents[1] / "gt" / p.name),
-    "WHU East Asia": (0.45, "whu_east_asia/images/*.png", lambda p: p.parents[1] / "gt" / p.name),
-    "CrowdAI": (0.3, "crowdai/image/*_img.png", lambda p: p.parents[1] / "gt" / f"{2 * p.name[0]}.png"),
-    "WHU New Zealand": (0.3, "nzlnd/images/*.png", lambda p: p.parents[1] / "gt" / p.name),
-    "SpaceNet": (0.3, "spacenet/*[0-9].png", lambda p: p.with_name(f"{p.stem}_gt.png")),
-    "WHU cities": (0.5, "whu_sample/*[a-z].png", lambda p: p.with_name(f"{p.stem}_gt.png")),
-    "Potsdam": (1.17, "isprs/images/*.png", lambda p: p.parents[1] / "gt" / p.name),
+_SETS = {  # metres a pixel; the images; what a name is replaced by in the name of the mask
+    "Inria": (0.3, "inria/images/*.png", ("images", "gt")),
+    "WHU East Asia": (0.45, "whu_east_asia/images/*.png", ("images", "gt")),
+    "CrowdAI": (0.3, "crowdai/image/*_img.png", ("image/{0}_img", "gt/{0}{0}")),
+    "WHU New Zealand": (0.3, "nzlnd/images/*.png", ("images", "gt")),
+    "SpaceNet": (0.3, "spacenet/*[0-9].png", (".png", "_gt.png")),
+    "WHU cities": (0.5, "whu_sample/*[a-z].png", (".png", "_gt.png")),
+    "Potsdam": (1.17, "isprs/images/*.png", ("images", "gt")),
 }
 CHOSEN_ON = ("Inria", "WHU East Asia")  # every threshold was chosen on these, the others confirm it
 _LEAST_PX2 = 40.0
@@ -73,11 +73,12 @@ def is_there(data: Path) -> bool:
 
 def tiles(data: Path) -> Iterator[Tile]:
     """Every image with three footprints or more."""
-    for group, (step_m, pattern, mask_of) in _SETS.items():
+    for group, (step_m, pattern, (old, new)) in _SETS.items():
         for path in sorted((data / FOLDER).glob(pattern)):
-            if path.stem.endswith("_gt") or not mask_of(path).is_file():
+            mask_path = Path(str(path).replace(old.format(path.name[0]), new.format(path.name[0])))
+            if path.stem.endswith("_gt") or not mask_path.is_file():
                 continue
-            image, mask = cv2.imread(str(path)), cv2.imread(str(mask_of(path)), cv2.IMREAD_GRAYSCALE)
+            image, mask = cv2.imread(str(path)), cv2.imread(str(mask_path), cv2.IMREAD_GRAYSCALE)
             assert image is not None
             assert mask is not None
             marks = footprints(np.asarray(mask, dtype=np.uint8), step_m)
@@ -89,7 +90,7 @@ def footprints(mask: Image, step_m: float) -> tuple[Landmark, ...]:
     """Components of a mask that the image's border does not cut, as landmarks."""
     _, binary = cv2.threshold(mask, 100, 255, cv2.THRESH_BINARY)
     height, width = mask.shape
-    found = []
+    found = list[Landmark]()
     for contour in cv2.findContours(binary, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]:
         corners = cv2.approxPolyDP(contour, _OUTLINE_PX, closed=True)[:, 0].astype(np.float64)
         low, high = corners.min(axis=0), corners.max(axis=0)

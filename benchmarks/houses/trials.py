@@ -67,10 +67,11 @@ def answer(job: Job) -> Answer:
     prior = SPREAD.draw(rng, tile.p_n, np.eye(3))
     outcome, result = run(Trial(case, k, prior), "predict")
     base = Answer(group, name, kind, len(marks), outcome.outcome, outcome.detail, outcome.cpu_s)
-    base = msgspec.structs.replace(base, naive_m=_off(tile, marks, naive(tile, marks, prior), prior.R_nb))
+    if kind == "true":
+        base = msgspec.structs.replace(base, naive_m=_off(tile, marks, naive(tile, marks, prior), prior.R_nb))
     if drawn:
         pose = (prior.p_n, prior.R_nb) if result.pose is None else (result.pose.joint_p_n, result.pose.joint_R_nb)
-        image = draw_overlay(tile.image, rig.left, *rig.camera_pose(*pose), list(case.landmarks), (), None, [outcome.outcome])
+        image = draw_overlay(tile.image, rig.left, *rig.camera_pose(*pose), list(case.landmarks), (), (), [outcome.outcome])
         cv2.imwrite(str(OUT / f"{outcome.outcome} {group} {name} {kind} {size} {k}.png".replace(" ", "_")), image)
     if result.pose is None:
         return base

@@ -55,7 +55,7 @@ def judged(
     """What predict and verify says, beside the pattern of all outlines."""
     eye = eyes(rig)[int(images.only_right)]
     narrow = _only_shifts(move, config) and config.sigmas * move.shift_px <= limit_px(eye.camera, config)
-    trusted = result.fix is not None and len(result.fix.landmarks) > _HALF * len(marks)
+    trusted = result.fix is not None and len(result.fix.landmarks) > _HALF * len(result.regions)
     if not narrow and (trusted or len(marks) < _SEVERAL):
         return result
     best = best_shift(eye, images, marks, move, config)

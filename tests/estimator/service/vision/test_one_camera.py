@@ -9,9 +9,9 @@ from benchmarks.service.vehicle import Vehicle
 from calib.files.formats import save_mounted
 from estimator.service.zenoh.keys import rmw_key
 from logs.wire import schemas
-from logs.wire.codec import decode_landmark_fix, decode_odometry, encode_input
+from logs.wire.decoding import Decoder, decode_odometry
 from logs.wire.stamps import restamped
-from models.messages import ImuSample
+from models.messages import ImuSample, LandmarkFix
 from tests.estimator.scenes import SECOND, pose_fix
 from tests.estimator.service.flying import ODOMETRY, as_process, client, free_port
 from tests.estimator.sights import PLACE, village
@@ -68,7 +68,8 @@ def test_images_of_one_camera_become_fixes_and_estimates(tmp_path: Path) -> None
             time.sleep(0.01)
     assert vehicle.sent.get("/right/image", 0) == 0
     for data in fixes:
-        fix = decode_landmark_fix(data, 0)
+        fix = Decoder().decode("/landfix/fix", schemas.LANDMARK_FIX, data, 0)
+        assert isinstance(fix, LandmarkFix)
         assert len(fix.landmarks) >= 2
         assert float(np.linalg.norm(np.subtract(fix.p_n, PLACE))) < 1.5
     assert float(np.linalg.norm(np.subtract(decode_odometry(estimates[-1]).p_n, PLACE))) < 1.5
