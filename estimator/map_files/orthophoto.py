@@ -48,10 +48,8 @@ def load(path: Path, epsg: int = 0, *, grey: bool = False) -> Orthophoto:
     """The image of a file; epsg: its system, where the file holds none; grey: decoded without its colours, which would take
     three times the memory. Raises MapError, one line.
     """
-    place = georeference(path, epsg)
-    return Orthophoto(
-        _to_8_bit(_decode(path, cv2.IMREAD_ANYDEPTH | (cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR))), *place
-    )
+    image = _decode(path, cv2.IMREAD_ANYDEPTH | (cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR))
+    return Orthophoto(_to_8_bit(image), *georeference(path, epsg))
 
 
 def load_raster(path: Path, epsg: int = 0) -> tuple[Array, Array, int]:
@@ -78,7 +76,8 @@ def georeference(path: Path, epsg: int = 0) -> tuple[Array, int]:
 
 
 def _decode(path: Path, flags: int) -> cv2.typing.MatLike:
-    """Strip by strip from the file: the compressed image is never in memory as a whole."""
+    """Strip by strip from the file: the compressed image is never in memory as a whole. Raises OSError where there is none."""
+    path.stat()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # it does not know GeoTIFF's tags, and says so
     try:
         image = cv2.imread(str(path), flags)

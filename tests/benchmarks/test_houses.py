@@ -44,7 +44,7 @@ def test_a_decoy_has_the_same_houses_elsewhere(kind: str) -> None:
     marks = elsewhere(here, kind, [other], np.random.default_rng(0))
     assert [m.length_m for m in marks] == pytest.approx([m.length_m for m in here.marks], rel=1e-6)
     apart = 0.0 if kind == "another town" else 5.0
-    off = np.linalg.norm([a.centre_n - b.centre_n for a, b in zip(marks, here.marks, strict=True)], axis=1)
+    off = np.linalg.norm([np.subtract(a.centre_n, b.centre_n) for a, b in zip(marks, here.marks, strict=True)], axis=1)
     assert off.max() >= apart
 
 
