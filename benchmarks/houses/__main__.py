@@ -17,23 +17,21 @@ from benchmarks.houses.trials import OUT, SIZES, Answer, answer, every_tile, job
 from benchmarks.jobs import run_jobs
 from benchmarks.tables import Table, number
 
-_NEAR_M = 3.0
+_NEAR_M, _INSIDE_95 = 3.0, 5.991  # chi-square of 2
 
 
 def row(name: str, some: list[Answer]) -> tuple[str, ...]:
     """Figures of trials with the right map."""
     fixed = [a for a in some if a.accepted]
-    off, squared = np.array([a.off_m for a in fixed]), np.array([a.squared for a in fixed])
-    inside = float(np.mean(squared < 5.991)) if fixed else math.nan
-    none = math.nan
+    off, error, radius, squared = (
+        np.array([getattr(a, of) for a in fixed] or [math.nan]) for of in ("off_m", "error_m", "radius_m", "squared")
+    )
+    near = [a.naive_m is not None and a.naive_m < _NEAR_M for a in some]
     return (
         name, str(len({a.tile for a in some})), str(len(some)), f"{len(fixed) / max(len(some), 1):.0%}",
-        number(float(np.median(off)) if fixed else none), number(float(off.max()) if fixed else none),
-        number(float(np.median([a.error_m for a in fixed])) if fixed else none),
-        number(float(np.median([a.radius_m for a in fixed])) if fixed else none),
-        number(float(squared.mean()) / 2.0 if fixed else none), f"{inside:.0%}" if fixed else "-",
-        str(sum(a.squared > 9.0 * 5.991 for a in fixed)), number(1e3 * float(np.median([a.cpu_s for a in some]))),
-        f"{np.mean([a.naive_m < _NEAR_M for a in some]):.0%}" if some else "-",
+        number(float(np.median(off))), number(float(off.max())), number(float(np.median(error))), number(float(np.median(radius))),
+        number(float(squared.mean()) / 2.0), f"{np.mean(squared < _INSIDE_95):.0%}", str(int(np.sum(squared > 9.0 * _INSIDE_95))),
+        number(1e3 * float(np.median([a.cpu_s for a in some] or [math.nan]))), f"{np.mean(near or [False]):.0%}",
     )  # fmt: skip
 
 

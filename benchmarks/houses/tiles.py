@@ -75,7 +75,8 @@ def tiles(data: Path) -> Iterator[Tile]:
     """Every image with three footprints or more."""
     for group, (step_m, pattern, (old, new)) in _SETS.items():
         for path in sorted((data / FOLDER).glob(pattern)):
-            mask_path = Path(str(path).replace(old.format(path.name[0]), new.format(path.name[0])))
+            within = str(path.relative_to(data / FOLDER)).replace(old.format(path.name[0]), new.format(path.name[0]))
+            mask_path = data / FOLDER / within
             if path.stem.endswith("_gt") or not mask_path.is_file():
                 continue
             image, mask = cv2.imread(str(path)), cv2.imread(str(mask_path), cv2.IMREAD_GRAYSCALE)

@@ -38,11 +38,11 @@ class Answer(msgspec.Struct, frozen=True):
     outcome: str
     detail: str
     cpu_s: float
-    off_m: float = math.nan
-    error_m: float = math.nan
-    squared: float = math.nan
-    radius_m: float = math.nan
-    naive_m: float = math.nan
+    off_m: float | None = None
+    error_m: float | None = None
+    squared: float | None = None
+    radius_m: float | None = None
+    naive_m: float | None = None
 
     @property
     def accepted(self) -> bool:
