@@ -29,7 +29,8 @@ def row(name: str, some: list[Answer]) -> tuple[str, ...]:
     near = [a.naive_m is not None and a.naive_m < _NEAR_M for a in some]
     return (
         name, str(len({a.tile for a in some})), str(len(some)), f"{len(fixed) / max(len(some), 1):.0%}",
-        number(float(np.median(off))), number(float(off.max())), number(float(np.median(error))), number(float(np.median(radius))),
+        number(float(np.median(off))), number(float(off.max())), number(float(np.median(error))),
+        number(float(np.median(radius))),
         number(float(squared.mean()) / 2.0), f"{np.mean(squared < _INSIDE_95):.0%}", str(int(np.sum(squared > 9.0 * _INSIDE_95))),
         number(1e3 * float(np.median([a.cpu_s for a in some] or [math.nan]))), f"{np.mean(near or [False]):.0%}",
     )  # fmt: skip
