@@ -1,7 +1,7 @@
 """From images to a LandmarkFix, or the reason why there is none.
 
     check -> predict and verify (predict.py)      where the prior is good enough
-          -> all outlines as one pattern (pattern.py) from far above, where only their shift is open
+          -> all outlines as one pattern (pattern.py) where single outlines are too weak
           -> segment and identify (recognise.py)  at boot, where the prior is lost, or where that does not settle
 
 Nothing in here raises in flight. An image that is missing or useless leaves the work to the other camera: known landmarks give

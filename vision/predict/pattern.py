@@ -1,12 +1,12 @@
-"""All outlines as one pattern: from far above, heading and height known, only their common shift is open.
+"""All outlines as one pattern: their common shift, at every turn and scale that the prior leaves open.
 
     q = J_uv dx + e,   e ~ N(0, s^2)        (shift [px] of the outlines' middle; the map's error is one for all of them)
 
 Roofs that show no clean edge of one colour (hipped, under trees, a dozen pixels wide) give no fit edge by edge; many of them
-together still have one position (joint_score.py). Where the prior leaves hardly any turn and scale open, all shifts it allows are
-searched at full resolution. A fit that is not at the summit, or where another summit is as high, is refused; and where there is
-no fit, a summit that stands out is reported, along the directions it measures. By chance the best of M positions is r times the
-second one with a probability of about M^(-2 (r - 1)).
+together still have one position (joint_score.py). All shifts, turns and scales that the prior allows are searched. A fit that is
+not at the summit, or where another summit is as high, is refused; where there is no fit, a summit that stands out is reported,
+along the directions it measures. By chance the best of M positions is r times the second one with a probability of about
+M^(-2 (r - 1)).
 """
 
 import math
