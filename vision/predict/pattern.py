@@ -57,7 +57,8 @@ def judged(
     eye = eyes(rig)[int(images.only_right)]
     narrow = _only_shifts(move, config) and config.sigmas * move.shift_px <= limit_px(eye.camera, config)
     trusted = result.fix is not None and len(result.fix.landmarks) > _HALF * len(result.regions)
-    if not narrow and (trusted or len(marks) < _SEVERAL):
+    pair = images.left is not None and images.right is not None  # it has more to say: an exchange, disparities
+    if not narrow and (trusted or pair or len(marks) < _SEVERAL):
         return result
     best = best_shift(eye, images, marks, move, config)
     if best is None:
