@@ -1,7 +1,7 @@
 """From images to a LandmarkFix, or the reason why there is none.
 
     check -> predict and verify (predict.py)      where the prior is good enough
-          -> all outlines as one pattern (pattern.py) from far above, where only their shift is open
+          -> all outlines as one pattern (pattern.py) where single outlines are too weak
           -> segment and identify (recognise.py)  at boot, where the prior is lost, or where that does not settle
 
 Nothing in here raises in flight. An image that is missing or useless leaves the work to the other camera: known landmarks give
@@ -113,7 +113,8 @@ class LandmarkPipeline:
         doubtful = self._may_be_the_next_house(located, images, near, prior)
         if doubtful:
             located = refused(located, "ambiguous", "it may show the neighbouring landmark, which looks alike")
-        result = judged(located, self._rig, images, marks, move, self._config.predict.coarse)
+        all_together = self._predict.moves(images, near, prior, self._config.predict.most_together) or moves
+        result = judged(located, self._rig, images, *all_together, self._config.predict.coarse)
         if result.fix is not None:
             self._segment.clear()
         settled = result.fix is not None or result.report.outcome == "waiting"  # a likely one is not overruled, but confirmed

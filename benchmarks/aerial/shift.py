@@ -42,7 +42,7 @@ def observe(case: Case, prior: Prior, marks: list[Landmark]) -> Found:
     assert move is not None
     best = pattern.best_shift(eye, images, marks, move, CoarseConfig())
     assert best is not None
-    return Found(case.judge(*move.pose(move.gain[:, :2] @ best.shift_px)), best.ratio)
+    return Found(case.judge(*move.pose(move.gain @ best.q)), best.ratio)
 
 
 def observations(of: spacenet.Scene, size: int, seed: int) -> tuple[list[Found], list[Found]]:

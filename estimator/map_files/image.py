@@ -11,7 +11,6 @@ from estimator.map_files.image_file import ImageFile
 from models.maps import projection
 from models.maps.table import MapError
 from models.messages import Array, Vec3
-from vision.describe.survey import grey
 from vision.ground.image import GroundImage, Heights
 from vision.recognisers import MapImage
 
@@ -23,7 +22,7 @@ _RASTER_UNEVEN_M = 1.0  # of what a raster of heights leaves out
 
 def origin(file: ImageFile) -> Vec3:
     """Latitude, longitude [deg] and height [m] of an image's first pixel. Raises MapError; OSError where it cannot be read."""
-    affine, epsg = orthophoto.georeference(file.path, file.path.read_bytes(), file.epsg)
+    affine, epsg = orthophoto.georeference(file.path, file.epsg)
     lonlat = projection.to_lonlat(epsg, affine[None, :, 2])
     assert lonlat is not None
     return float(lonlat[0, 1]), float(lonlat[0, 0]), file.height_m or 0.0
@@ -31,7 +30,7 @@ def origin(file: ImageFile) -> Vec3:
 
 def load(file: ImageFile, at: Vec3) -> MapImage:
     """The image in the frame n at an origin, with its keypoints. Raises MapError, one line; OSError where it cannot be read."""
-    photo = orthophoto.load(file.path, file.epsg)
+    photo = orthophoto.load(file.path, file.epsg, grey=True)
     height_m = at[2] if file.height_m is None else file.height_m
     nodes = _nodes(photo.image.shape[1], photo.image.shape[0])
     points = _to_n(_on_earth(photo.affine, photo.epsg, nodes.reshape(-1, 2)), height_m, at)
@@ -44,9 +43,7 @@ def load(file: ImageFile, at: Vec3) -> MapImage:
         of_nodes[:, :2] *= step
         level = Heights.level(0.0)
         heights = Heights(points[:, 2].reshape(nodes.shape[:2]), of_nodes, level.unevenness_m, level.slope)
-    name, values = file.path.name, grey(photo.image)
-    del photo  # its colours: three quarters of what the keypoints would find in memory
-    return MapImage.of(GroundImage(name, values, affine, heights, file.sigma_m, file.height_sigma_m))
+    return MapImage.of(GroundImage(file.path.name, photo.image, affine, heights, file.sigma_m, file.height_sigma_m))
 
 
 def _nodes(width: int, height: int) -> Array:

@@ -5,6 +5,7 @@ A GeoTIFF, or any image with a world file (.pgw, .jgw, .tfw, .wld) next to it:
 (x, y) = A (u, v, 1): plane coordinates of the pixel whose centre is at (u, v)
 """
 
+import mmap
 import struct
 from pathlib import Path
 from typing import NamedTuple
@@ -25,11 +26,12 @@ _RASTER, _GEOGRAPHIC, _PROJECTED, _POINT = 1025, 2048, 3072, 2  # GeoTIFF keys; 
 _FORMATS = {2: "s", 3: "H", 4: "I", 12: "d"}  # TIFF's types that these tags have
 _LEAST_PX = 4  # that make a colour
 _MARGIN = 0.15  # of the width, along the edge: eaves, shadow, mixed pixels
+_STRIP = 256  # rows that are stretched at a time
 _STRETCH = (1.0, 99.0)  # percentiles of a 16-bit image that become 0 and 255
 
 
 class Orthophoto(NamedTuple):
-    """Image (H, W, 3) BGR, affine A (2, 3), EPSG code of x and y."""
+    """Image (H, W, 3) BGR or (H, W) grey, affine A (2, 3), EPSG code of x and y."""
 
     image: NDArray[np.uint8]
     affine: Array
@@ -42,25 +44,25 @@ class Orthophoto(NamedTuple):
         return bool(np.all(sample == sample[:, :, :1]))
 
 
-def load(path: Path, epsg: int = 0) -> Orthophoto:
-    """The image of a file; epsg: its system, where the file holds none. Raises MapError, one line."""
-    data = path.read_bytes()
-    image = _decode(path, data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
-    return Orthophoto(_to_8_bit(image), *georeference(path, data, epsg))
+def load(path: Path, epsg: int = 0, *, grey: bool = False) -> Orthophoto:
+    """The image of a file; epsg: its system, where the file holds none; grey: decoded without its colours, which would take
+    three times the memory. Raises MapError, one line.
+    """
+    image = _decode(path, cv2.IMREAD_ANYDEPTH | (cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR))
+    return Orthophoto(_to_8_bit(image), *georeference(path, epsg))
 
 
 def load_raster(path: Path, epsg: int = 0) -> tuple[Array, Array, int]:
     """Numbers (H, W) of a georeferenced raster of one band, as they are; its affine and EPSG code. Raises MapError, one line."""
-    data = path.read_bytes()
-    values = _decode(path, data, cv2.IMREAD_UNCHANGED)
+    values = _decode(path, cv2.IMREAD_UNCHANGED)
     if values.ndim != 2:
         raise MapError(f"{path}: has {values.shape[2]} bands, not one of heights")
-    return values.astype(np.float64), *georeference(path, data, epsg)
+    return values.astype(np.float64), *georeference(path, epsg)
 
 
-def georeference(path: Path, data: bytes, epsg: int = 0) -> tuple[Array, int]:
-    """Affine (2, 3) and EPSG code of an image file's data; epsg: where the file holds none. Raises MapError, one line."""
-    tags = _tags(data)
+def georeference(path: Path, epsg: int = 0) -> tuple[Array, int]:
+    """Affine (2, 3) and EPSG code of an image file; epsg: where the file holds none. Raises MapError, one line."""
+    tags = _tags(path)
     affine = _tiff_affine(tags) if _TIEPOINT in tags or _TRANSFORM in tags else _world_file(path)
     if affine is None:
         raise MapError(
@@ -73,10 +75,12 @@ def georeference(path: Path, data: bytes, epsg: int = 0) -> tuple[Array, int]:
     return affine, epsg
 
 
-def _decode(path: Path, data: bytes, flags: int) -> cv2.typing.MatLike:
+def _decode(path: Path, flags: int) -> cv2.typing.MatLike:
+    """Strip by strip from the file: the compressed image is never in memory as a whole. Raises OSError where there is none."""
+    path.stat()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # it does not know GeoTIFF's tags, and says so
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        image = cv2.imread(str(path), flags)
     except cv2.error:
         image = None
     if image is None:
@@ -127,9 +131,11 @@ def _median(image: NDArray[np.uint8], px: Array) -> Array | None:
 def _to_8_bit(image: cv2.typing.MatLike) -> NDArray[np.uint8]:
     if image.dtype == np.uint8:
         return image.astype(np.uint8, copy=False)
-    values = image.astype(np.float32)
-    low, high = np.percentile(values[::4, ::4], _STRETCH)
-    stretched: NDArray[np.uint8] = np.clip((values - low) * (255.0 / max(high - low, 1e-9)), 0, 255).astype(np.uint8)
+    low, high = np.percentile(image[::4, ::4], _STRETCH)
+    stretched = np.empty(image.shape, dtype=np.uint8)
+    for k in range(0, len(image), _STRIP):
+        values = image[k : k + _STRIP].astype(np.float32)
+        stretched[k : k + _STRIP] = np.clip((values - low) * (255.0 / max(high - low, 1e-9)), 0, 255)
     return stretched
 
 
@@ -181,12 +187,18 @@ def _key(tags: dict[int, tuple[float, ...]], key: int) -> int:
     return next((value for name, place, value in entries if name == key and place == 0), 0)
 
 
-def _tags(data: bytes) -> dict[int, tuple[float, ...]]:
+def _tags(path: Path) -> dict[int, tuple[float, ...]]:
     """Numbers of a classic TIFF's geographic tags; none of anything else."""
-    order = {b"II*\0": "<", b"MM\0*": ">"}.get(data[:4])
+    with path.open("rb") as file:
+        order = {b"II*\0": "<", b"MM\0*": ">"}.get(file.read(4))
+        if order is None:
+            return {}
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            return _read_tags(data, order)
+
+
+def _read_tags(data: mmap.mmap, order: str) -> dict[int, tuple[float, ...]]:
     tags: dict[int, tuple[float, ...]] = {}
-    if order is None:
-        return tags
     try:
         (start,) = struct.unpack_from(order + "I", data, 4)
         (count,) = struct.unpack_from(order + "H", data, start)

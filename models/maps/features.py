@@ -221,10 +221,11 @@ def _other_form(data: bytes) -> str:
         ("a GeoPackage", head.startswith(b"SQLite format 3\0")),
         ("a Shapefile", head.startswith(b"\x00\x00\x27\x0a")),
         ("KML", b"<kml" in head),
+        ("a KMZ or another ZIP file, to be unpacked first", head.startswith(b"PK\x03\x04")),
     ):
         if seen:
             return f"{name}: convert it with ogr2ogr -t_srs EPSG:4326 map.geojson FILE, or use landfix map get"
-    if b'"elements"' in head and b'"osm3s"' in head:
+    if b'"elements"' in head and b'"features"' not in head:
         return "Overpass JSON: export as GeoJSON in overpass-turbo.eu, or use landfix map get"
     return ""
 

@@ -26,12 +26,13 @@ from vision.image.rectify import Image
 from vision.pose.point_pose import PointConfig, PointPose, Points, fit_points
 from vision.pose.pose import PoseEstimate
 
+Descriptors = NDArray[np.uint8]  # SIFT's are whole numbers
 _TREES: Final[dict[str, bool | int | float | str]] = {"algorithm": 1, "trees": 4}  # FLANN's randomised k-d trees
 _CHECKS: Final[dict[str, bool | int | float | str]] = {"checks": 64}
 _GRID: Final = 64  # points that tell what the camera sees
 _REACH_SIGMA: Final = 4.0
 _FEATURE_PX = 0.5  # of a keypoint's position in its image
-_TILE_PX, _MARGIN_PX = 1024, 64  # of a map whose keypoints are sought
+_TILE_PX, _MARGIN_PX = 512, 64  # of a map whose keypoints are sought
 _DOUBLED_PX = 0.25  # OpenCV seeks in the doubled image and halves what it finds: u = (2 u + 1/2) / 2 - 1/4
 _FEWEST = 8  # inliers that are worth fitting a pose to
 _POINTS = PointConfig(least=_FEWEST, freedom=8.0, expected=1.0)
@@ -57,7 +58,7 @@ class FeatureMap:
 
     image: GroundImage
     x_n: Array
-    descriptors: NDArray[np.float32]
+    descriptors: Descriptors
 
     @classmethod
     def of(cls, image: GroundImage, config: FeatureConfig | None = None) -> "FeatureMap":
@@ -141,20 +142,20 @@ def _judged(fit: PointPose, points: Points, matched: int, rig: StereoRig, config
     return Recognised(fit.estimate, matched, inliers)
 
 
-def _keypoints(image: Image, most: int) -> tuple[Array, NDArray[np.float32]]:
+def _keypoints(image: Image, most: int) -> tuple[Array, Descriptors]:
     """Pixels (N, 2) and descriptors (N, 128), the clearest first."""
     found, descriptors = cv2.SIFT.create(nfeatures=most).detectAndCompute(image, None)
     if not len(found):
-        return np.empty((0, 2)), np.empty((0, 128), np.float32)
-    return np.array([k.pt for k in found], dtype=np.float64) - _DOUBLED_PX, descriptors.astype(np.float32)
+        return np.empty((0, 2)), np.empty((0, 128), np.uint8)
+    return np.array([k.pt for k in found], dtype=np.float64) - _DOUBLED_PX, descriptors.astype(np.uint8)
 
 
-def _of_large(image: Image, most: int) -> tuple[Array, NDArray[np.float32]]:
+def _of_large(image: Image, most: int) -> tuple[Array, Descriptors]:
     """As _keypoints, in tiles: SIFT works on 200 bytes a pixel. A keypoint counts in the tile that it lies in."""
     height, width = image.shape
     if max(height, width) <= _TILE_PX:
         return _keypoints(image, most)
-    px, clear, descriptors = [np.empty((0, 2))], [np.empty(0)], [np.empty((0, 128), np.float32)]
+    px, clear, descriptors = np.empty((0, 2)), np.empty(0), np.empty((0, 128), np.uint8)
     for top, left in product(range(0, height, _TILE_PX), range(0, width, _TILE_PX)):
         v, u = max(top - _MARGIN_PX, 0), max(left - _MARGIN_PX, 0)
         part = image[v : top + _TILE_PX + _MARGIN_PX, u : left + _TILE_PX + _MARGIN_PX]
@@ -162,17 +163,18 @@ def _of_large(image: Image, most: int) -> tuple[Array, NDArray[np.float32]]:
         at = np.array([k.pt for k in found]).reshape(-1, 2) + np.array([u, v])
         own = np.flatnonzero(np.all((at >= (left, top)) & (at < (left + _TILE_PX, top + _TILE_PX)), axis=1))
         if len(own):
-            px.append(at[own] - _DOUBLED_PX)
-            clear.append(np.array([found[k].response for k in own.tolist()]))
-            descriptors.append(described[own].astype(np.float32))
-    best = np.argsort(-np.concatenate(clear), kind="stable")[:most]
-    return np.concatenate(px)[best], np.concatenate(descriptors)[best]
+            px = np.concatenate((px, at[own] - _DOUBLED_PX))
+            clear = np.concatenate((clear, np.array([found[k].response for k in own.tolist()])))
+            descriptors = np.concatenate((descriptors, described[own].astype(np.uint8)))
+        best = np.argsort(-clear, kind="stable")[:most]  # what is left out now would be left out in the end
+        px, clear, descriptors = px[best], clear[best], descriptors[best]
+    return px, descriptors
 
 
-def _matches(mine: NDArray[np.float32], theirs: NDArray[np.float32], ratio: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _matches(mine: Descriptors, theirs: Descriptors, ratio: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Rows of both whose descriptors are nearest, by far; each of theirs with the nearest of mine only."""
     cv2.setRNGSeed(0)  # the trees are random: a replay grows the same ones
-    pairs = cv2.FlannBasedMatcher(_TREES, _CHECKS).knnMatch(mine, theirs, k=2)
+    pairs = cv2.FlannBasedMatcher(_TREES, _CHECKS).knnMatch(mine.astype(np.float32), theirs.astype(np.float32), k=2)
     best: dict[int, cv2.DMatch] = {}
     for pair in pairs:
         if len(pair) == 2 and pair[0].distance < ratio * pair[1].distance:

@@ -26,11 +26,14 @@ from vision.image.reduced import Field
 
 @dataclass(frozen=True, slots=True)
 class Summit:
-    """The best shift (2,) px, its score, and how many times the highest one elsewhere that is (below 1: by the prior alone)."""
+    """The best q (4,): shift u, v [px], turn [rad], log scale; its score, and how many times the highest one elsewhere that is
+    (below 1: by the prior alone); step_px: between neighbouring shifts.
+    """
 
-    shift_px: Array
+    q: Array
     score: float
     ratio: float
+    step_px: float
 
 
 def joint_score(field: Field, camera: Array, aimed: Array, floor: float, su: Array, sv: Array) -> Array:
@@ -40,15 +43,25 @@ def joint_score(field: Field, camera: Array, aimed: Array, floor: float, su: Arr
     return np.asarray((total - chance * count) / max(len(aimed), 1))
 
 
-def summit(score: Array, su: Array, sv: Array, covariance: Array, apart_px: float) -> Summit:
-    """Of S (U, V), with the prior's covariance (2, 2) px^2; what lies no farther than apart_px from it is the same position."""
-    q = np.stack(np.meshgrid(su, sv, indexing="ij"), axis=-1)
-    squared = np.sum(q @ np.linalg.inv(covariance) * q, axis=-1)
-    likely = 0.5 * (np.maximum(score, 0.0) / max(float(score.std()), 1e-9)) ** 2 - 0.5 * squared
-    a, b = np.unravel_index(int(np.argmax(likely)), score.shape)
+def summit(score: Array, turned: Array, su: Array, sv: Array, covariance: Array, apart_px: float) -> Summit:
+    """Of S (T, U, V) at turns and log scales turned (T, 2), with the prior's covariance (4, 4) of q.
+
+    What lies no farther than apart_px from it is the same position, at whatever turn and scale.
+    """
+    q = np.stack(np.broadcast_arrays(su[:, None], sv[None, :]), axis=-1)
+    information, best, at = np.linalg.inv(covariance), -np.inf, (0, 0, 0)
+    deviation = max(float(score.std()), 1e-9)
+    for k, (turn, grown) in enumerate(turned):
+        whole = np.concatenate((q, np.broadcast_to((turn, grown), q.shape)), axis=-1)
+        squared = np.sum(whole @ information * whole, axis=-1)
+        likely = 0.5 * (np.maximum(score[k], 0.0) / deviation) ** 2 - 0.5 * squared
+        a, b = (int(i) for i in np.unravel_index(int(np.argmax(likely)), likely.shape))
+        if likely[a, b] > best:
+            best, at = float(likely[a, b]), (k, a, b)
+    k, a, b = at
     other = np.hypot(su[:, None] - su[a], sv[None, :] - sv[b]) > apart_px
-    second = max(float(score[other].max(initial=0.0)), 1e-9)
-    return Summit(q[a, b], float(score[a, b]), float(score[a, b]) / second)
+    second = max(float(score.max(axis=0)[other].max(initial=0.0)), 1e-9)
+    return Summit(np.array([su[a], sv[b], *turned[k]]), float(score[at]), float(score[at]) / second, float(su[1] - su[0]))
 
 
 @njit(cache=True)

@@ -1,12 +1,12 @@
-"""All outlines as one pattern: from far above, heading and height known, only their common shift is open.
+"""All outlines as one pattern: their common shift, at every turn and scale that the prior leaves open.
 
     q = J_uv dx + e,   e ~ N(0, s^2)        (shift [px] of the outlines' middle; the map's error is one for all of them)
 
 Roofs that show no clean edge of one colour (hipped, under trees, a dozen pixels wide) give no fit edge by edge; many of them
-together still have one position (joint_score.py). Where the prior leaves hardly any turn and scale open, all shifts it allows are
-searched at full resolution. A fit that is not at the summit, or where another summit is as high, is refused; and where there is
-no fit, a summit that stands out is reported, along the directions it measures. By chance the best of M positions is r times the
-second one with a probability of about M^(-2 (r - 1)).
+together still have one position (joint_score.py). All shifts, turns and scales that the prior allows are searched. A fit that is
+not at the summit, or where another summit is as high, is refused; where there is no fit, a summit that stands out is reported,
+along the directions it measures. By chance the best of M positions is r times the second one with a probability of about
+M^(-2 (r - 1)).
 """
 
 import math
@@ -18,6 +18,7 @@ import numpy as np
 
 from models.camera import StereoRig
 from models.maps.landmarks import Landmark
+from models.messages import Array
 from vision.identify.sightings import one_eyed
 from vision.image.reduced import levels
 from vision.outline.visibility import Prisms
@@ -33,13 +34,18 @@ from vision.records.reports import Result, fix_of, pose_flaw
 
 NAME = "(outlines)"  # all of them count as one landmark, as wrong on the map as one of them is
 _ROOF_PX = 32.0  # wider roofs are fitted edge by edge
+_WIDEST_PX, _NARROWEST_PX = 48.0, 8.0  # of the roofs in the reduced image that is searched
+_SEVERAL = 3  # outlines, where turn and scale are searched too; there a fit to more than
+_HALF = 0.5  # of those in view needs no pattern beside it
+_MOST = 300_000  # positions, turns and scales that are tried
 _STIFF_PX = 3.0  # what turn and scale may move the outlines' ends: as much as an edge is wide
 _APART_PX = 8.0  # nearer positions are one, as for the window of a fit
 _AROUND_PX = 5.0 * _APART_PX  # searched all around, at least: positions that the prior excludes still sample chance
-_POSITION_PX = 1.0  # how well the summit's position is known
-_POINTS = 400
+_POSITION = 1.0  # pixel of the searched image: how well the summit's position is known
+_POINTS, _FEWER = 400, 240  # on the outlines; where turn and scale are searched too
 _FLOOR = 0.5  # of the image's median gradient: below it there is no direction
 SURE = 1.4  # of a summit alone: 0.2 % by chance, M being some thousand
+SURE_TURNED = 1.5  # where turn and scale are searched too: M is ten times as large
 _LIKELY = 1.08  # of one where a fit is, as in registration.py
 _ALONE = PointConfig(least=1, freedom=1e9, expected=1.0)  # one point has no residual that could tell of its noise
 
@@ -49,49 +55,87 @@ def judged(
 ) -> Result:
     """What predict and verify says, beside the pattern of all outlines."""
     eye = eyes(rig)[int(images.only_right)]
-    best = best_shift(eye, images, marks, move, config) if _only_shifts(eye, move, config) else None
+    narrow = _only_shifts(move, config) and config.sigmas * move.shift_px <= limit_px(eye.camera, config)
+    trusted = result.fix is not None and len(result.fix.landmarks) > _HALF * len(result.regions)
+    pair = images.left is not None and images.right is not None  # it has more to say: an exchange, disparities
+    if not narrow and (trusted or pair or len(marks) < _SEVERAL):
+        return result
+    best = best_shift(eye, images, marks, move, config)
     if best is None:
         return result
     if result.pose is None:
-        return _as_fix(result, one_eyed(rig, right=images.only_right), marks, move, best) if best.ratio >= SURE else result
+        sure = best.ratio >= (SURE if narrow else SURE_TURNED)
+        return _as_fix(result, one_eyed(rig, right=images.only_right), marks, move, best) if sure else result
     error = difference(result.pose.joint_p_n, result.pose.joint_R_nb, move.prior.p_n, move.prior.q_nb_wxyz)
-    off_px = float(np.linalg.norm(move.J[:2] @ error - best.shift_px))
-    if off_px > _APART_PX:
+    off_px = float(np.linalg.norm(move.J[:2] @ error - best.q[:2]))
+    if off_px > _APART_PX * best.step_px:
         return refused(result, "no_pose", f"all outlines together lie {off_px:.0f} px from the fit")
     if best.ratio < _LIKELY:
         return refused(result, "ambiguous", f"all outlines together lie {1.0 / best.ratio:.0%} as well elsewhere")
     return result
 
 
-def _only_shifts(eye: Eye, move: Motion, config: CoarseConfig) -> bool:
-    """Whether small roofs are seen from a pose that leaves their common shift open, within the limits, and no more."""
+def _only_shifts(move: Motion, config: CoarseConfig) -> bool:
+    """Whether small roofs are seen from a pose that leaves their common shift open and no more."""
     ends_px = config.sigmas * max(move.turn_rad, move.log_scale) * move.radius
-    return move.roof_px < _ROOF_PX and ends_px <= _STIFF_PX and config.sigmas * move.shift_px <= limit_px(eye.camera, config)
+    return move.roof_px < _ROOF_PX and ends_px <= _STIFF_PX
 
 
 def best_shift(eye: Eye, images: Images, marks: Sequence[Landmark], move: Motion, config: CoarseConfig) -> Summit | None:
-    """The likeliest of all shifts that the prior allows; None where nothing of the outlines comes into the image."""
+    """The likeliest of all shifts, turns and scales that the prior allows; None where nothing of the outlines comes into the
+    image, or where there are too many.
+    """
     image = images.right if images.only_right else images.left
     assert image is not None
-    level = levels(image, eye.camera, (1,))[0]
-    reach = np.maximum(config.sigmas * np.sqrt(np.diag(move.covariance)[:2]), _AROUND_PX)
+    found = _grid(move, config)
+    if found is None:
+        return None
+    size, turned, su, sv = found
+    level = levels(image, eye.camera, (size,))[0]
     straight, pose = Eye(level.camera, eye.R_kb, eye.p_bk, eye.right), move.pose(np.zeros(6))
-    seen = edge_points(straight, Prisms.of(marks), chromas(marks), pose, float(reach.max()), _POINTS)
+    reach = max(su[-1], sv[-1]) / size
+    seen = edge_points(straight, Prisms.of(marks), chromas(marks), pose, float(reach), _POINTS if len(turned) == 1 else _FEWER)
     if seen is None:
         return None
-    su, sv = (np.arange(-n, n + 1.0) for n in np.ceil(reach).astype(int))
-    aimed, c = seen.aimed(straight, pose, move.gain[:, :2]), level.camera
-    field = level.field(aimed, (float(su[0]), float(su[-1])), (float(sv[0]), float(sv[-1])))
-    floor = _FLOOR * level.typical() + 0.5
-    score = joint_score(field, np.array([c.fx, c.fy, c.cx, c.cy]), aimed, floor, su, sv)
-    return summit(score, su, sv, move.covariance[:2, :2], _APART_PX)
+    c, floor, scores = level.camera, _FLOOR * level.typical() + 0.5, []
+    for turn in turned:
+        aimed = seen.aimed(straight, move.pose(move.gain[:, 2:] @ turn), move.gain[:, :2])
+        field = level.field(aimed, (float(su[0]), float(su[-1])), (float(sv[0]), float(sv[-1])))
+        scores.append(joint_score(field, np.array([c.fx, c.fy, c.cx, c.cy]), aimed, floor, su, sv))
+    return summit(np.array(scores), turned, su, sv, move.covariance, _APART_PX * size)
+
+
+def _grid(move: Motion, config: CoarseConfig) -> tuple[int, Array, Array, Array] | None:
+    """How often the image is reduced, turns and log scales (T, 2), shifts u (U,) and v (V,) [px] that are searched.
+
+    Neighbouring turns and scales differ by _STIFF_PX at the outlines' ends; the image is reduced until the roofs are narrow and
+    the work is little. None where the roofs would be too narrow by then.
+    """
+    size = 1
+    while move.roof_px / size > _WIDEST_PX:
+        size *= 2
+    while True:
+        step = _STIFF_PX * size / move.radius
+        counts = [int(config.sigmas * sigma / step) for sigma in (move.turn_rad, move.log_scale)]
+        turns, scales = (step * np.arange(-n, n + 1.0) for n in counts)
+        turned = np.array([(t, s) for t in turns for s in scales])
+        reach = np.maximum(config.sigmas * np.sqrt(np.diag(move.covariance)[:2]), _AROUND_PX * size)
+        su, sv = (size * np.arange(-n, n + 1.0) for n in np.ceil(reach / size).astype(int))
+        if len(turned) * len(su) * len(sv) <= _MOST:
+            return size, turned, su, sv
+        size *= 2
+        if move.roof_px / size < _NARROWEST_PX:
+            return None
 
 
 def _as_fix(result: Result, rig: StereoRig, marks: Sequence[Landmark], move: Motion, best: Summit) -> Result:
-    """The summit as a fix: the outlines' middle is where it was seen. rig: the camera that saw it is the left one."""
-    middle = np.array([(*mark.centre_n, mark.roof_d) for mark in marks]).mean(axis=0)[None]
-    p_nc, R_nc = rig.camera_pose(*move.pose(move.gain[:, :2] @ best.shift_px))
-    point = Points(middle, rig.left.project((middle - p_nc) @ R_nc), np.eye(2)[None] * _POSITION_PX**2)
+    """The summit as a fix: the middle of the outlines in view lies where it was seen. rig: whose left camera saw it."""
+    p_nc, R_nc = rig.camera_pose(*move.pose(move.gain @ best.q))
+    roofs = Prisms.of(marks).roofs
+    inside = rig.left.contains(rig.left.project((roofs - p_nc) @ R_nc))
+    middle = roofs[inside if inside.any() else ...].mean(axis=0, keepdims=True)
+    noise_px = _POSITION * best.step_px
+    point = Points(middle, rig.left.project((middle - p_nc) @ R_nc), np.eye(2)[None] * noise_px**2)
     variance = np.mean([(mark.sigma_m**2, mark.height_sigma_m**2) for mark in marks], axis=0)
     sigma = math.sqrt(variance[0]), math.sqrt(variance[1]), 0.0
     found = fit_points(rig, point, move.pose(np.zeros(6)), move.prior, sigma, _ALONE)

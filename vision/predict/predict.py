@@ -43,12 +43,16 @@ _DISTANCES = (-2.0, -1.0, 1.0, 2.0)  # standard deviations of the prior, from wh
 
 
 class PredictConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """most_voting, most_fitted: landmarks, those with most outline in view first; others that stand join the fit."""
+    """most_voting, most_fitted: landmarks, those with most outline in view first; others that stand join the fit.
+
+    most_together: of all outlines as one pattern.
+    """
 
     coarse: CoarseConfig = CoarseConfig()
     verify: VerifyConfig = VerifyConfig()
     most_voting: int = 12
     most_fitted: int = 6
+    most_together: int = 40
 
 
 class _Refused(NamedTuple):
@@ -78,10 +82,12 @@ class PredictPath:
         self._waiting = Waiting(config.verify)
         self._alone = alone
 
-    def moves(self, images: Images, near: Sequence[Landmark], prior: Prior) -> tuple[list[Landmark], Motion] | None:
-        """The landmarks that may be in view, and how the prior lets them move; None where there are none."""
+    def moves(
+        self, images: Images, near: Sequence[Landmark], prior: Prior, most: int | None = None
+    ) -> tuple[list[Landmark], Motion] | None:
+        """The landmarks that may be in view, at most `most`, and how the prior lets them move; None where there are none."""
         eye = self._eye(images)
-        marks = _in_view(eye, near, prior, self._limit_px(eye), self._config.most_voting)
+        marks = _in_view(eye, near, prior, self._limit_px(eye), most or self._config.most_voting)
         move = motion(eye, marks, prior) if marks else None
         return None if move is None else (marks, move)
 

@@ -180,6 +180,8 @@ def test_too_many_corners() -> None:
         (b"SQLite format 3\0\x10", "GeoPackage: convert it with ogr2ogr"),
         (b"\x00\x00\x27\x0a" + bytes(96), "Shapefile: convert it with ogr2ogr"),
         (b'<?xml version="1.0"?><kml xmlns="http://www.opengis.net/kml/2.2"/>', "KML: convert it with ogr2ogr"),
+        (b"PK\x03\x04" + bytes(96), "ZIP file, to be unpacked first"),
+        (b'{"version": 0.6, "elements": []}', "Overpass JSON: export as GeoJSON"),
         (b'{"version": 0.6, "osm3s": {"copyright": "ODbL"}, "elements": []}', "landfix map get"),
     ],
 )

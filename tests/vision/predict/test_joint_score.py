@@ -1,12 +1,13 @@
 """One score of all outlines together: its summit is where they are, and it says when another place is as good."""
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from models.camera import CameraModel
 from models.messages import Array
 from vision.image.reduced import Level
-from vision.predict.joint_score import joint_score, summit
+from vision.predict.joint_score import Summit, joint_score, summit
 
 SIZE, FLOOR = 200, 2.0
 CAMERA = CameraModel(SIZE, SIZE, 1.0, 1.0, 0.0, 0.0)  # x_c = (u, v, 1)
@@ -49,9 +50,16 @@ def scores(image: Image, aimed: Array) -> Array:
     return joint_score(level.whole(), np.array([1.0, 1.0, 0.0, 0.0]), aimed, FLOOR, SHIFTS, SHIFTS)
 
 
+def found(score: Array, su: Array = SHIFTS, covariance: Array = OPEN) -> Summit:
+    """The summit at the one turn and scale there is."""
+    whole = np.eye(4)
+    whole[:2, :2] = covariance
+    return summit(score[None], np.zeros((1, 2)), su, SHIFTS, whole, 8.0)
+
+
 def test_the_summit_is_where_the_outlines_are() -> None:
-    best = summit(scores(drawn((13, -8), noise=15.0), outlines()), SHIFTS, SHIFTS, OPEN, 8.0)
-    np.testing.assert_allclose(best.shift_px, [13.0, -8.0], atol=1.0)
+    best = found(scores(drawn((13, -8), noise=15.0), outlines()))
+    np.testing.assert_allclose(best.q[:2], [13.0, -8.0], atol=1.0)
     assert best.ratio > 1.5
 
 
@@ -63,7 +71,7 @@ def test_dark_and_bright_roofs_count_alike_and_so_does_any_contrast() -> None:
 
 
 def test_noise_alone_has_no_position() -> None:
-    best = summit(scores(drawn((0, 0), boxes=(), noise=15.0), outlines()), SHIFTS, SHIFTS, OPEN, 8.0)
+    best = found(scores(drawn((0, 0), boxes=(), noise=15.0), outlines()))
     assert best.score < 0.15
     assert best.ratio < 1.3
 
@@ -71,7 +79,7 @@ def test_noise_alone_has_no_position() -> None:
 def test_what_stands_there_twice_has_two_summits() -> None:
     one = ((40, 60, 20, 20),)
     image = drawn((0, 0), boxes=((40, 60, 20, 20), (64, 60, 20, 20)))
-    best = summit(scores(image, outlines(one)), SHIFTS, SHIFTS, OPEN, 8.0)
+    best = found(scores(image, outlines(one)))
     assert 1.0 <= best.ratio < 1.1
 
 
@@ -82,14 +90,14 @@ def test_of_two_positions_as_good_the_prior_takes_its_own_and_no_ratio_reports_i
     image[60:80, 64:84] = image[60:80, 40:60]
     score = scores(image, outlines(one))
     for about in (0.0, 24.0):
-        best = summit(score, SHIFTS - about, SHIFTS, np.eye(2) * 10.0**2, 8.0)
-        np.testing.assert_allclose(best.shift_px, [0.0, 0.0], atol=1.0)
+        best = found(score, SHIFTS - about, np.eye(2) * 10.0**2)
+        np.testing.assert_allclose(best.q[:2], [0.0, 0.0], atol=1.0)
         assert best.ratio < 1.1
 
 
 def test_outlines_speak_louder_than_the_prior() -> None:
-    best = summit(scores(drawn((20, -15), noise=15.0), outlines()), SHIFTS, SHIFTS, np.eye(2) * 10.0**2, 8.0)
-    np.testing.assert_allclose(best.shift_px, [20.0, -15.0], atol=1.0)
+    best = found(scores(drawn((20, -15), noise=15.0), outlines()), covariance=np.eye(2) * 10.0**2)
+    np.testing.assert_allclose(best.q[:2], [20.0, -15.0], atol=1.0)
     assert best.ratio > 1.5
 
 
@@ -100,4 +108,22 @@ def test_points_outside_the_image_say_nothing() -> None:
     inside = scores(drawn((13, -8), noise=15.0), aimed)
     both = scores(drawn((13, -8), noise=15.0), np.concatenate((aimed, aside)))
     np.testing.assert_allclose(both, 0.5 * inside, atol=1e-9)
-    assert summit(scores(drawn((13, -8)), aside), SHIFTS, SHIFTS, OPEN, 8.0).score == 0.0
+    assert found(scores(drawn((13, -8)), aside)).score == 0.0
+
+
+def test_the_turn_that_fits_is_found_and_a_rival_may_have_any_turn() -> None:
+    there, rival = scores(drawn((13, -8), noise=15.0), outlines()), scores(drawn((-14, 9), noise=15.0), outlines())
+    turned, open_ = np.array([(-0.05, 0.0), (0.0, 0.0), (0.05, 0.02)]), np.diag([1e4, 1e4, 1.0, 1.0])
+    best = summit(np.array([0.1 * there, 0.5 * there, there]), turned, SHIFTS, SHIFTS, open_, 8.0)
+    np.testing.assert_allclose(best.q, [13.0, -8.0, 0.05, 0.02], atol=1.0)
+    assert best.q[2] == 0.05
+    assert best.ratio > 1.5  # its own place at another turn is no rival
+    doubtful = summit(np.array([0.9 * rival, 0.5 * there, there]), turned, SHIFTS, SHIFTS, open_, 8.0)
+    assert doubtful.ratio == pytest.approx(there.max() / (0.9 * rival.max()), rel=0.1)
+
+
+def test_a_turn_that_the_prior_excludes_needs_a_better_score() -> None:
+    score = scores(drawn((0, 0), noise=15.0), outlines())
+    turned = np.array([(0.0, 0.0), (0.2, 0.0)])
+    best = summit(np.array([score, 1.05 * score]), turned, SHIFTS, SHIFTS, np.diag([1e4, 1e4, 1e-4, 1e-4]), 8.0)
+    assert best.q[2] == 0.0

@@ -59,11 +59,16 @@ def drawn(boxes: Boxes) -> Images:
 
 
 def asked(
-    boxes: Boxes, standing: Boxes, yaw_rad: float = 1e-3, result: Result | None = None, sigma_m: float = 12.0
+    boxes: Boxes,
+    standing: Boxes,
+    yaw_rad: float = 1e-3,
+    result: Result | None = None,
+    sigma_m: float = 12.0,
+    yaw_off: float = 0.0,
 ) -> tuple[Result, Prior]:
-    """What is made of a result: a map of boxes over an image of those that stand there."""
+    """What is made of a result: a map of boxes over an image of those that stand there; yaw_off: of the prior, rad."""
     covariance = np.diag([sigma_m**2, sigma_m**2, 1.0, 1e-7, 1e-7, yaw_rad**2])
-    prior = Prior(TRUTH + OFF * sigma_m / 12.0, np.array([1.0, 0.0, 0.0, 0.0]), covariance)
+    prior = Prior(TRUTH + OFF * sigma_m / 12.0, so3.from_euler(0.0, 0.0, yaw_off), covariance)
     marks = [mark(str(k), box) for k, box in enumerate(boxes)]
     move = motion(eyes(RIG)[0], marks, prior)
     assert move is not None
@@ -121,14 +126,36 @@ def test_where_the_same_houses_stand_twice_the_prior_decides_which(about: float)
     assert move is not None
     best = pattern.best_shift(eye, drawn(both), marks, move, CoarseConfig())
     assert best is not None
-    p_n, _ = move.pose(move.gain[:, :2] @ best.shift_px)
+    p_n, _ = move.pose(move.gain @ best.q)
     assert float(np.linalg.norm((p_n - prior.p_n)[:2])) < 1.0
     assert best.ratio < 1.1
 
 
-def test_where_the_heading_is_open_the_pattern_is_silent() -> None:
+@pytest.mark.parametrize("yaw_off", [math.radians(5.0), math.radians(-4.0)])
+def test_where_the_heading_is_open_it_is_searched_as_well(yaw_off: float) -> None:
+    """Five degrees move the outlines' ends by ten pixels: no shift alone lays them on their edges."""
+    result, _ = asked(VILLAGE, VILLAGE, yaw_rad=math.radians(3.0), yaw_off=yaw_off)
+    assert result.fix is not None
+    assert result.pose is not None
+    assert float(np.linalg.norm((result.pose.joint_p_n - TRUTH)[:2])) < 1.0
+    sigma = np.sqrt(np.diag(result.pose.joint_covariance))
+    assert 0.3 < sigma[0] < 1.5
+    assert sigma[5] > math.radians(1.0)  # the fix says nothing of the heading
+
+
+def test_with_an_open_heading_nothing_there_is_no_fix() -> None:
+    assert asked(VILLAGE, (), yaw_rad=math.radians(3.0))[0].fix is None
+    assert asked(ROW[1:4], ROW, yaw_rad=math.radians(3.0))[0].fix is None
+
+
+def test_with_an_open_heading_two_outlines_are_too_few() -> None:
     before = nothing(7, "no_pose", "no fit")
-    assert asked(VILLAGE, VILLAGE, yaw_rad=math.radians(3.0), result=before)[0] is before
+    assert asked(VILLAGE[:2], VILLAGE[:2], yaw_rad=math.radians(3.0), result=before)[0] is before
+
+
+def test_with_an_open_heading_a_fit_stays_as_it_is() -> None:
+    good, _ = asked(VILLAGE, VILLAGE)
+    assert asked(VILLAGE, (), yaw_rad=math.radians(3.0), result=good)[0] is good
 
 
 @pytest.mark.parametrize(("off_m", "stays"), [(0.5, True), (6.0, False)])

@@ -313,10 +313,10 @@ def test_grey_images_with_a_map_of_colours() -> None:
 
 
 def doubting(path: Literal["auto", "predict"] = "predict") -> LandmarkPipeline:
-    """To which every place is a weak one."""
+    """To which every place is a weak one, and all outlines together say nothing."""
     config = PipelineConfig(path=path)
     verify = msgspec.structs.replace(config.predict.verify, score_px=1e6)
-    predict = msgspec.structs.replace(config.predict, verify=verify)
+    predict = msgspec.structs.replace(config.predict, verify=verify, most_together=2)
     return LandmarkPipeline(RIG, LandmarkMap.from_landmarks(ORIGIN, MARKS), msgspec.structs.replace(config, predict=predict))
 
 

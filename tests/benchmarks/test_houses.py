@@ -1,0 +1,55 @@
+"""Footprints out of masks, decoys, and the naive search that the benchmark of real houses compares with."""
+
+import numpy as np
+import pytest
+
+from benchmarks.houses.tiles import Tile, elsewhere, footprints
+from benchmarks.houses.trials import naive
+from models.messages import Array
+from vision.identify.identify import Prior
+from vision.image.rectify import Image
+
+SIZE, STEP_M = 200, 0.5
+BOXES = ((40, 60, 30, 20), (120, 50, 18, 40), (90, 130, 50, 16))  # u, v, width, height
+
+
+def mask(boxes: tuple[tuple[int, int, int, int], ...] = BOXES) -> Image:
+    drawn: Image = np.zeros((SIZE, SIZE), dtype=np.uint8)
+    for u, v, width, height in boxes:
+        drawn[v : v + height, u : u + width] = 255
+    return drawn
+
+
+def tile() -> Tile:
+    image = np.full((SIZE, SIZE, 3), 90, dtype=np.uint8)
+    image[mask() > 0] = 180
+    return Tile("group", "name", image, STEP_M, footprints(mask(), STEP_M))
+
+
+def test_a_footprint_is_where_the_mask_has_it() -> None:
+    found = sorted(footprints(mask(), STEP_M), key=lambda m: float(m.centre_n[1]))
+    centres = sorted(((99.5 - v - (h - 1) / 2, u + (w - 1) / 2 - 99.5) for u, v, w, h in BOXES), key=lambda c: c[1])
+    np.testing.assert_allclose([m.centre_n for m in found], STEP_M * np.array(centres), atol=0.3)
+    assert found[0].length_m == pytest.approx(30 * STEP_M, abs=0.5)
+
+
+def test_what_the_border_cuts_and_what_is_tiny_is_left_out() -> None:
+    assert footprints(mask(((0, 50, 30, 20), (180, 50, 20, 20), (60, 60, 4, 4))), STEP_M) == ()
+
+
+@pytest.mark.parametrize("kind", ["turned", "mirrored", "moved", "another town"])
+def test_a_decoy_has_the_same_houses_elsewhere(kind: str) -> None:
+    here = tile()
+    other = Tile("other", "name", here.image, 2.0 * STEP_M, footprints(mask(), 2.0 * STEP_M))
+    marks = elsewhere(here, kind, [other], np.random.default_rng(0))
+    assert [m.length_m for m in marks] == pytest.approx([m.length_m for m in here.marks], rel=1e-6)
+    apart = 0.0 if kind == "another town" else 5.0
+    off = np.linalg.norm([np.subtract(a.centre_n, b.centre_n) for a, b in zip(marks, here.marks, strict=True)], axis=1)
+    assert off.max() >= apart
+
+
+def test_the_naive_search_finds_boxes_of_one_colour() -> None:
+    here, off = tile(), np.array([6.0, -9.0, 0.0])
+    prior = Prior(here.p_n + off, np.array([1.0, 0.0, 0.0, 0.0]), np.diag([25.0, 25.0, 1.0, 1e-4, 1e-4, 1e-4]))
+    found: Array = naive(here, here.marks, prior)
+    assert float(np.linalg.norm(found - here.p_n)) < 1.0
