@@ -22,8 +22,9 @@ from benchmarks.odometry import sets
 from benchmarks.odometry.score import Scored, run
 from benchmarks.tables import Table, number
 from models.messages import Array
-from vision.image.rectify import Image
-from vision.odometry.step import Step, StereoOdometry
+from vision.image.rectify import Image, rectification, rectify
+from vision.odometry.step import Step
+from vision.odometry.views import grey
 
 OUT = Path("out/bench_odometry")
 HEIGHTS_M = (10.0, 30.0, 60.0, 120.0)
@@ -193,12 +194,8 @@ def draw(folder: Path) -> None:
         short = sequence.frames[at : at + 2]
         cut = replace(sequence, frames=short)
         step = run(cut).steps[0]
-        odometry = StereoOdometry(sequence.rig)
-        pair = odometry.frame(*short[0].images())
-        assert not isinstance(pair, str)
-        cv2.imwrite(
-            str(folder / f"{k}_{sequence.name.split(',')[0].replace(' ', '_').replace('/', '')}.png"), _drawn(pair.left, step)
-        )
+        left = rectify(grey(short[0].images()[0]), rectification(sequence.rig).left)
+        cv2.imwrite(str(folder / f"{k}_{sequence.name.split(',')[0].replace(' ', '_').replace('/', '')}.png"), _drawn(left, step))
 
 
 def _drawn(image: Image, step: Step) -> Image:

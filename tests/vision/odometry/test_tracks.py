@@ -3,10 +3,14 @@
 import cv2
 import numpy as np
 
+from models.camera import CameraModel
 from tests.vision.odometry.scene import pair
 from vision.image.rectify import Image
 from vision.odometry.corners import corners
 from vision.odometry.tracks import coarse_columns, stereo, temporal
+from vision.odometry.views import Lens
+
+CAMERA = CameraModel(320, 240, 300.0, 300.0, 159.5, 119.5)
 
 
 def texture(shift: int = 0) -> Image:
@@ -32,11 +36,11 @@ def test_corners_respect_the_mask() -> None:
 
 def test_near_points_are_found_far_along_the_row() -> None:
     """60 px of disparity, beyond any window."""
-    left, right = texture(), texture(60)
-    px = corners(left, None, 80).astype(float)
+    left, right = (Lens(CAMERA, np.eye(3), CAMERA, None).view(texture(shift)) for shift in (0, 60))
+    px = corners(left.raw, None, 80)
     px = px[(px[:, 0] > 90) & (px[:, 0] < 300)]
     columns = coarse_columns(left, right, px, px[:, 0] - 80.0, px[:, 0])
-    fine = stereo(left, right, px, columns)
+    fine = stereo(left, right, px, px[:, 1], columns, Lens(CAMERA, np.eye(3), CAMERA, None))
     found = np.isfinite(fine)
     assert found.mean() > 0.7
     np.testing.assert_allclose(px[found, 0] - fine[found], 60.0, atol=0.2)
@@ -47,7 +51,8 @@ def test_a_fence_has_no_disparity() -> None:
     fence = np.tile(np.where(np.arange(320) % 16 < 8, 60, 190).astype(np.uint8), (240, 1))
     fence[::7] = 120
     px = np.array([[160.0, 120.0], [200.0, 60.0]])
-    assert np.isnan(coarse_columns(fence, fence, px, px[:, 0] - 60.0, px[:, 0])).all()
+    view = Lens(CAMERA, np.eye(3), CAMERA, None).view(fence)
+    assert np.isnan(coarse_columns(view, view, px, px[:, 0] - 60.0, px[:, 0])).all()
 
 
 def test_a_turn_about_the_optical_axis_does_not_hinder() -> None:
