@@ -16,7 +16,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from benchmarks.flights.tasks import INSIDE95
-from benchmarks.odometry.sets import Pose, ground_of
+from benchmarks.odometry.sets import ground_of
 from benchmarks.tables import Table
 from estimator.config import parse
 from estimator.frontend.key_frames import KeyFrames, VisualOdometryConfig
@@ -34,6 +34,7 @@ from vision.synthetic import Conditions, blur_of_motion, make_rig, render_pair
 OUTAGE_S, ENDS_S = 24.0, (10.0, 30.0)
 _FIRST_S, _STEP_S, _LATE_NS, _SECOND = 21.0, 0.5, 60_000_000, 10**9
 _HEIGHTS_M, _SPEEDS_M_S = (20.0, 30.0, 45.0, 60.0), (0.1, 0.2, 0.35, 0.6, 1.2, 3.0)
+_TRUCK_M: Final = 2.0  # its height
 KINDS: Final = ("still", "deck", "truck", "water")
 
 Views = tuple[Image, Image]
@@ -53,7 +54,7 @@ class Drawn:
 
 @dataclass(frozen=True)
 class End:
-    """After so many seconds of the outage: errors [m] with odometry and by the IMU alone, 1-sigma [m], NEES/3, what became of increments."""
+    """After so many seconds of the outage: errors [m] with odometry and by the IMU alone, 1-sigma [m], NEES/3; fates of increments."""
 
     scene: Drawn
     after_s: float
@@ -159,13 +160,12 @@ class _Camera:
         p, still = self._truth.p_n[k], self._rendered(k, self._truth.p_n[k])
         if not moved_s or self._drawn.kind == "still":
             return still
-        shift = np.append(moved_s * self._drawn.moving_m_s, 0.0)
-        if self._drawn.kind == "truck":
-            moving = self._rendered(k, p - shift + [0.0, 0.0, 2.0])  # 2 m nearer
-        else:
-            moving = self._rendered(k, p - shift)
+        north, east = (moved_s * self._drawn.moving_m_s).tolist()
+        shift = np.array([north, east, 0.0])
+        nearer_m = _TRUCK_M if self._drawn.kind == "truck" else 0.0
+        moving = self._rendered(k, p - shift + np.array([0.0, 0.0, nearer_m]))
         if self._drawn.kind == "water":  # a second wave, to the side of the first
-            across = np.array([-shift[1], shift[0], 0.0]) + [7.0, 3.0, 0.0]
+            across = np.array([7.0 - east, 3.0 + north, 0.0])
             moving = _mixed(moving, self._rendered(k, p - across))
         left, right = (np.where(self._mask()[:, :, None], b, a) for a, b in zip(still, moving, strict=True))
         return left, right
@@ -201,7 +201,18 @@ def table(ends: Iterable[End]) -> Table:
             some = [e for e in those if e.scene.kind == kind and e.after_s == after_s]
             if some:
                 rows.append((kind, f"{after_s:.0f} s", str(len(some)), *_figures(some)))
-    head = ("half of the image", "outage", "scenes", "alone m", "median m", "max m", "sigma m", "NEES/3", "largest", "inside 95 %")
+    head = (
+        "half of the image",
+        "outage",
+        "scenes",
+        "alone m",
+        "median m",
+        "max m",
+        "sigma m",
+        "NEES/3",
+        "largest",
+        "inside 95 %",
+    )
     return Table("Outages over scenes of which half moves", head, rows)
 
 
