@@ -1,6 +1,6 @@
 """Visual odometry alone, without a filter: drift, covariance, lost steps, false motion, time.
 
-python -m benchmarks.odometry                        everything, some minutes of one core
+python -m benchmarks.odometry                        everything, some ten minutes of one core
 python -m benchmarks.odometry recorded faults        one table or several
 python -m benchmarks.odometry --draw DIR             the tracks of a few steps as PNG, in addition
 
@@ -17,8 +17,8 @@ import cv2
 import numpy as np
 
 from benchmarks.flights.tasks import data_folder
+from benchmarks.odometry import moving, sets
 from benchmarks.odometry import outage as outages
-from benchmarks.odometry import sets
 from benchmarks.odometry.score import Scored, run
 from benchmarks.tables import Table, number
 from models.messages import Array
@@ -159,7 +159,16 @@ def outage() -> list[Table]:
     return [Table("Outage, EuRoC MH_01 hand-held, through the estimator", columns, outages.run(OUT / "outage"))]
 
 
-TABLES = {"recorded": recorded, "rendered": rendered, "faults": faults, "motion": motion, "speed": speed, "outage": outage}
+def moving_scenes() -> list[Table]:
+    """Outages over scenes of which half moves, estimator and visual odometry together; each scene by itself."""
+    ends = [end for number in range(moving.SCENES) for end in moving.run(moving.drawn(number))]
+    return [moving.table(ends)]
+
+
+TABLES = {
+    "recorded": recorded, "rendered": rendered, "faults": faults, "motion": motion, "moving": moving_scenes, "speed": speed,
+    "outage": outage,
+}  # fmt: skip
 
 
 def row(scored: Scored, note: str = "") -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""A scene of which half moves, in an outage: simulated IMU and fixes, rendered pairs, visual odometry and filter in a closed loop.
+"""A scene of which half moves, in an outage: simulated IMU, rendered pairs, visual odometry and filter as a closed loop.
 
     pairs of the true poses -> KeyFrames (motion predicted by the estimates) -> StereoOdometry -> OdometryDelta -> Fusion
 
@@ -35,6 +35,7 @@ OUTAGE_S, ENDS_S = 24.0, (10.0, 30.0)
 _FIRST_S, _STEP_S, _LATE_NS, _SECOND = 21.0, 0.5, 60_000_000, 10**9
 _HEIGHTS_M, _SPEEDS_M_S = (20.0, 30.0, 45.0, 60.0), (0.1, 0.2, 0.35, 0.6, 1.2, 3.0)
 _TRUCK_M: Final = 2.0  # its height
+SCENES: Final = 16
 KINDS: Final = ("still", "deck", "truck", "water")
 
 Views = tuple[Image, Image]
@@ -54,7 +55,7 @@ class Drawn:
 
 @dataclass(frozen=True)
 class End:
-    """After so many seconds of the outage: errors [m] with odometry and by the IMU alone, 1-sigma [m], NEES/3; fates of increments."""
+    """After so many seconds of the outage: errors [m] with odometry and of the IMU alone, 1-sigma [m], NEES/3, reasons."""
 
     scene: Drawn
     after_s: float
