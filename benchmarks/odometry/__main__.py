@@ -34,7 +34,8 @@ COLUMNS = (
 )  # fmt: skip
 PUBLISHED = (  # drift %, deg/m, on, source
     ("cuVSLAM 17.0.1 stereo odometry", "0.85", "0.0023", "KITTI odometry, 11 drives", "nvidia-isaac/cuVSLAM release v17.0.1"),
-    ("OpenVINS mono", "0.2-0.9 (0.06-0.07 m over 8-40 m)", "-", "EuRoC V1_01", "rpng/open_vins docs/eval-error.dox"),
+    ("OpenVINS, one camera and IMU", "1.3 (7 m) to 0.4 (35 m)", "0.09 to 0.02", "EuRoC V1_01", "rpng/open_vins eval-error.dox"),
+    ("ZED SDK, as its maker says", "2; 1.5", "-", "like KITTI, 100 m; like EuRoC medium, 80 m", "stereolabs/zed-yolo, issue 7"),
     ("stereo VIO, 0.3 m baseline, 40-60 m high", "0.27", "-", "one flight of 800 m", "Drones 2023, 7(1), 36"),
 )  # fmt: skip
 
