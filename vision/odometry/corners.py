@@ -27,7 +27,9 @@ def corners(image: Image, mask: Mask | None, wanted: int) -> Array:
     """
     if image.shape[1] > _WIDE_PX:
         small = reduced(image, 2)
-        seen = None if mask is None else cv2.resize(mask, small.shape[::-1], interpolation=cv2.INTER_NEAREST)
+        seen = (
+            None if mask is None else np.asarray(cv2.resize(mask, small.shape[::-1], interpolation=cv2.INTER_NEAREST), np.uint8)
+        )
         return scaled_px(corners(small, seen, wanted), 2.0)
     px = np.empty((0, 2))
     for threshold in _THRESHOLDS:

@@ -32,11 +32,13 @@ class View:
 
 
 class Lens:
-    """Between raw and rectified pixels of one camera; maps: of the small image, None where raw images are rectified."""
+    """Between raw and rectified pixels of one camera.
 
-    def __init__(self, camera: CameraModel, R_from_c: Array, rectified: CameraModel, maps: Maps | None) -> None:
-        self.camera, self._R, self._rectified, self._maps = camera, R_from_c, rectified, maps
-        self._scale = scale_of(camera.width)
+    maps: of the small image, None where raw images are rectified; scale: how many times smaller it is.
+    """
+
+    def __init__(self, camera: CameraModel, R_from_c: Array, rectified: CameraModel, maps: Maps | None, scale: int) -> None:
+        self.camera, self._R, self._rectified, self._maps, self._scale = camera, R_from_c, rectified, maps, scale
 
     def rectified(self, raw_px: Array) -> Array:
         """Rectified pixels (N, 2) of raw ones (N, 2); NaN stays."""
@@ -57,7 +59,8 @@ class Lens:
         v, u = np.mgrid[0:height:_GRID_PX, 0:width:_GRID_PX]
         raw = np.column_stack((u.ravel(), v.ravel())).astype(np.float64)
         inside = self.camera.contains(raw, _BORDER_PX) & self._rectified.contains(self.rectified(raw), _BORDER_PX)
-        return cv2.resize(inside.reshape(u.shape).astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
+        mask = cv2.resize(inside.reshape(u.shape).astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
+        return np.asarray(mask, np.uint8)
 
     def turn(self, R: Array) -> Array:
         """K R' K^-1 (3, 3) for a rotation R of the rectified camera: what it does to the middle of the raw image."""
@@ -77,22 +80,19 @@ class Lens:
 
 def lenses(rig: StereoRig) -> tuple[StereoRig, Lens, Lens]:
     """The rectified rig at full size, without covariances, and its cameras' lenses. Raises ValueError as rectification() does."""
-    k = 1.0 / scale_of(rig.left.width)
+    scale = 4 if rig.left.width > _WIDE_PX else 2
+    k = 1.0 / scale
     small = rectification(StereoRig(_scaled(rig.left, k), _scaled(rig.right, k), rig.R_rc, rig.t_rc, rig.R_bc, rig.p_bc))
     R_from_c = small.rig.R_bc.T @ rig.R_bc
-    left, right = _scaled(small.rig.left, 1.0 / k), _scaled(small.rig.right, 1.0 / k)
+    left, right = _scaled(small.rig.left, scale), _scaled(small.rig.right, scale)
     full = StereoRig(left, right, small.rig.R_rc, small.rig.t_rc, small.rig.R_bc, small.rig.p_bc)
-    return full, Lens(rig.left, R_from_c, left, small.left), Lens(rig.right, R_from_c @ rig.R_rc.T, right, small.right)
+    of_right = Lens(rig.right, R_from_c @ rig.R_rc.T, right, small.right, scale)
+    return full, Lens(rig.left, R_from_c, left, small.left, scale), of_right
 
 
 def grey(image: Image) -> Image:
     """(H, W) of a grey or BGR image."""
     return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-
-
-def scale_of(width: int) -> int:
-    """How many times smaller the small image is."""
-    return 4 if width > _WIDE_PX else 2
 
 
 def reduced(image: Image, scale: int) -> Image:

@@ -46,6 +46,19 @@ def test_the_small_image_is_the_rectified_one_reduced(camera: CameraModel, scale
     assert np.corrcoef(view.small[inside].ravel(), whole[inside].ravel())[0, 1] > 0.995
 
 
+def test_a_right_image_of_another_size() -> None:
+    """A right camera of twice the resolution: rows correspond, in the small images too."""
+    right = CameraModel(1504, 960, 2 * RIGHT.fx, 2 * RIGHT.fy, 758.5, 510.5, LENS)
+    rig = StereoRig(LEFT, right, BARREL.R_rc, BARREL.t_rc, BARREL.R_bc, BARREL.p_bc)
+    _, left_lens, right_lens = lenses(rig)
+    x_c = np.random.default_rng(1).uniform((-0.5, -0.4, 2.0), (0.5, 0.4, 6.0), (50, 3))
+    rows = [lens.rectified(lens.camera.project(x))[:, 1] for lens, x in ((left_lens, x_c), (right_lens, rig.to_right(x_c)))]
+    np.testing.assert_allclose(rows[0], rows[1], atol=1e-9)
+    views = [lens.view(np.zeros((c.height, c.width), np.uint8)) for lens, c in ((left_lens, LEFT), (right_lens, right))]
+    assert [view.scale for view in views] == [2, 2]
+    assert views[0].small.shape == views[1].small.shape
+
+
 def test_corners_keep_from_the_border_of_both_images() -> None:
     left = lenses(BARREL)[1]
     image = np.random.default_rng(3).integers(0, 255, (480, 752), dtype=np.uint8)
