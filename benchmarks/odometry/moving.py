@@ -90,8 +90,8 @@ def run(scene: Drawn, *, height_given: bool = False) -> list[End]:
     for after_s, t_ns in zip(ENDS_S, ends, strict=True):
         e, other = (_error(simulation, estimates, t_ns) for estimates in (carried, alone))
         ratio = float(e[0] @ np.linalg.solve(e[1], e[0])) / 3.0
-        norms = (float(np.linalg.norm(x[0])) for x in (e, other))
-        made.append(End(scene, after_s, *norms, float(np.sqrt(np.trace(e[1]))), ratio, dict(reasons)))
+        error_m, alone_m = (float(np.linalg.norm(x[0])) for x in (e, other))
+        made.append(End(scene, after_s, error_m, alone_m, float(np.sqrt(np.trace(e[1]))), ratio, dict(reasons)))
     return made
 
 
@@ -179,7 +179,7 @@ class _Camera:
             inside: Array = (abs(v / height - 0.5) < 0.354) & (abs(u / width - 0.5) < 0.354)
             return inside
         halves = (u < width // 2, u >= width // 2, v < height // 2, v >= height // 2)
-        return halves[self._drawn.side]
+        return np.asarray(halves[self._drawn.side])
 
     def _rendered(self, k: int, p: Array) -> Views:
         truth, rig = self._truth, self._rig
