@@ -16,7 +16,7 @@ from models.camera import CameraModel, StereoRig
 from models.messages import Array
 from vision.image.rectify import Image
 from vision.odometry.step import Tracks
-from vision.synthetic import Conditions, World, WorldSpec, blur_of_motion, make_rig, make_world, render_pair
+from vision.synthetic import Conditions, Scene, World, WorldSpec, blur_of_motion, make_rig, make_world, render_pair
 
 HANDHELD: Final = "euroc_mh01_handheld_stereo_imu"
 KEY_FRAMES: Final = "euroc_v101_keyframes_stereo_imu"
@@ -111,13 +111,7 @@ def nadir(height_m: float, kind: str, *, exact: bool, moving_m_s: float = 0.0, s
     """
     speed = min(10.0, 0.3 * height_m)
     rig = make_rig(size[0], size[1], 600.0 * size[0] / 640.0)
-    area = 8.0 * speed + 4.0 * height_m + 20.0 * moving_m_s
-    spec = {
-        "village": WorldSpec(area_m=area, rig=rig),
-        "grass": WorldSpec(area_m=area, spacing_m=area, cars=0.0, trees=0.0, patches=0.0, clear_m=area, rig=rig),
-        "forest": WorldSpec(area_m=area, spacing_m=area, cars=0.0, trees=250.0, patches=0.0, clear_m=0.1, rig=rig),
-    }[kind]
-    scene = make_world(7, spec)
+    scene = ground_of(kind, 8.0 * speed + 4.0 * height_m + 20.0 * moving_m_s, rig, 7)
     cameras = rig if exact else scene.rig
     frames = []
     for k in range(21):
@@ -131,6 +125,16 @@ def nadir(height_m: float, kind: str, *, exact: bool, moving_m_s: float = 0.0, s
         frames.append(Frame(t, Pose(p, R), images))
     name = f"nadir {height_m:.0f} m {kind}{'' if exact else ', rig drawn'}"
     return Sequence(name, rig, frames, (0.25 * 10.0 * speed, 0.5 * 10.0 * speed), None, np.array([0.0, 0.0, 1.0]))
+
+
+def ground_of(kind: str, area_m: float, rig: StereoRig, seed: int) -> Scene:
+    """A square of village, grass or forest."""
+    spec = {
+        "village": WorldSpec(area_m=area_m, rig=rig),
+        "grass": WorldSpec(area_m=area_m, spacing_m=area_m, cars=0.0, trees=0.0, patches=0.0, clear_m=area_m, rig=rig),
+        "forest": WorldSpec(area_m=area_m, spacing_m=area_m, cars=0.0, trees=250.0, patches=0.0, clear_m=0.1, rig=rig),
+    }[kind]
+    return make_world(seed, spec)
 
 
 def _renderer(

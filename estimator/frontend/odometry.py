@@ -40,7 +40,7 @@ class OdometryProcessor:
         if isinstance(a, str) or isinstance(b, str):
             step = Step("; ".join(flaws))
         else:
-            step = self._odometry.step(a, b, _prediction(request))
+            step = self._odometry.step(a, b, prediction_of(request))
         inliers = 0 if step.inliers is None else int(step.inliers.sum())
         report = VisionReport(
             request.t_ns, request.t_ns, "lost" if step.reason else "measured", step.reason or step.remark, step.points, inliers,
@@ -75,7 +75,8 @@ def delta_of(request: OdometryRequest, step: Step) -> OdometryDelta:
     )  # fmt: skip
 
 
-def _prediction(request: OdometryRequest) -> Prediction:
+def prediction_of(request: OdometryRequest) -> Prediction:
+    """What a request predicts, as a step takes it."""
     p, q = np.array(request.dp_b), so3.normalise(np.array(request.dq_wxyz))
     if request.height_sigma_m <= 0.0:
         return Prediction(p, q, request.covariance)

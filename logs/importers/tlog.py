@@ -6,6 +6,8 @@
     LOCAL_POSITION_NED, ATTITUDE  ->  /truth where there is no SIM_STATE: the autopilot's own estimate, for reference only;
                                       ATTITUDE  ->  /attitude
     WHEEL_DISTANCE                ->  /velocity_body: forward, of all wheels
+    ODOMETRY                      ->  /odometry: poses of a camera or lidar; a new frame at each reset_counter
+    VISION_POSITION_DELTA         ->  /odometry_delta: a camera's steps      OPTICAL_FLOW_RAD  ->  /optical_flow
 
 Messages of the vehicle with the most messages are taken. MAVLink is FRD and NED. Its stamps count from boot; the fastest
 message of a boot is taken to have needed no time from the vehicle to the ground, which gives the date to all.
@@ -20,11 +22,13 @@ from typing import Any
 
 import numpy as np
 from pymavlink import mavutil
+from pymavlink.dialects.v20 import common as mavlink
 
 from logs.importers import frames, recording, sensors, simulator, steps
 from logs.importers.recording import DEFAULTS, ImportOptions, Progress, Recording, Stream, Times
 from logs.importers.settings import Settings
 from logs.store.reader import LogError
+from logs.wire.increments import SEEN_FROM_OUTSIDE
 from models.frames import GRAVITY
 from models.messages import Array, Vec3
 
@@ -33,6 +37,7 @@ _RAW = ("xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc", "xmag", "ymag", "zmag
 _SAME_HEIGHT_MM = 10  # ArduPilot counts in cm
 _GPS = ("fix_type", "lat", "lon", "alt", "eph", "epv", "vel", "cog", "alt_ellipsoid", "h_acc", "v_acc", "vel_acc", "yaw")
 _WHEELS = 16
+_TURN, _WAY, _Q = (tuple(f"{name}{k}" for k in range(n)) for name, n in (("angle", 3), ("position", 3), ("q", 4)))
 _FIELDS = {
     "HIGHRES_IMU": _RAW, "RAW_IMU": _RAW, "SCALED_IMU": _RAW, "SCALED_IMU2": _RAW,
     "GPS_RAW_INT": _GPS, "GPS2_RAW": _GPS,
@@ -41,6 +46,12 @@ _FIELDS = {
     "SIM_STATE": ("lat_int", "lon_int", "alt", "vn", "ve", "vd", "q1", "q2", "q3", "q4"),
     "LOCAL_POSITION_NED": ("x", "y", "z", "vx", "vy", "vz"),
     "WHEEL_DISTANCE": ("count", *(f"distance{k}" for k in range(_WHEELS))),
+    "ODOMETRY": ("frame_id", "child_frame_id", "reset_counter", "quality", "x", "y", "z", *_Q),
+    "VISION_POSITION_DELTA": ("time_delta_usec", "confidence", *_TURN, *_WAY),
+    "OPTICAL_FLOW_RAD": (
+        "integration_time_us", "integrated_x", "integrated_y", "integrated_xgyro", "integrated_ygyro", "integrated_zgyro",
+        "quality", "distance",
+    ),
     "GPS_GLOBAL_ORIGIN": ("latitude", "longitude", "altitude"),
 }  # fmt: skip
 _RECEIVERS = {"GPS_RAW_INT": "/gnss", "GPS2_RAW": "/gnss2"}
@@ -52,6 +63,7 @@ _UNKNOWN = 65535
 _UNIX_US = 1e14  # stamps above it count from 1970
 _FAR_US = 4e15  # beyond any date; a damaged stamp may be
 _CLOCK_SET_US = 30e6
+_LEFT_UP = (mavlink.MAV_FRAME_LOCAL_FLU, mavlink.MAV_FRAME_LOCAL_ENU)  # the body's axes stay FRD
 _AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
 _REBOOT_US = 5e6  # stamps that fall by more
 _BEGINNING = 1 << 24  # bytes: a file may begin with a block of zeros, as one does that was not written to its end
@@ -93,11 +105,12 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
             notes.append("GNSS heights are above sea level; set [map] geoid_m to have them above the ellipsoid")
         if truth and not origin:
             origin = sensors.origin_of_truth(gnss[0], truth, delay_s, _known_origin(tables))
+    aids = [*gnss, *_odometry(tables, notes), *_camera(tables), *_flow(tables, imu, notes)]
     altitude = "above the ellipsoid where the log holds it, else above mean sea level"
     settings = Settings(gnss_delay_s=delay_s, origin=origin, altitude=altitude, wheels="WHEEL_DISTANCE" in tables)
     return Recording.of(
         (
-            *gnss,
+            *aids,
             *_baro(tables),
             *_field(tables, autopilot),
             *_heading(tables),
@@ -124,7 +137,7 @@ def _messages(source: Path, progress: Progress | None) -> tuple[dict[str, Array]
                 damaged += 1
             elif name == "HEARTBEAT" and message.autopilot != _NOT_A_VEHICLE:
                 autopilots[message.get_srcSystem()] = message.get_srcComponent(), message.autopilot
-            elif name in _FIELDS:
+            elif name in _FIELDS and not (name == "ODOMETRY" and message.estimator_type not in SEEN_FROM_OUTSIDE):
                 fields = _values(message)
                 row = [round(message._timestamp * 1e6), _stamp_us(message), total, *fields]
                 components = rows.setdefault(message.get_srcSystem(), {}).setdefault(name, {})
@@ -142,8 +155,14 @@ def _messages(source: Path, progress: Progress | None) -> tuple[dict[str, Array]
 
 def _values(message: Any) -> list[float]:
     """The fields of _FIELDS; 0 for those that this dialect lacks."""
-    if message.get_type() == "WHEEL_DISTANCE":
-        return [message.count, *message.distance]
+    match message.get_type():
+        case "WHEEL_DISTANCE":
+            return [message.count, *message.distance]
+        case "VISION_POSITION_DELTA":
+            return [message.time_delta_usec, message.confidence, *message.angle_delta, *message.position_delta]
+        case "ODOMETRY":
+            own = message.frame_id, message.child_frame_id, message.reset_counter, message.quality
+            return [*own, message.x, message.y, message.z, *message.q]
     return [getattr(message, f, 0) for f in _FIELDS[message.get_type()]]
 
 
@@ -296,6 +315,47 @@ def _wheels(tables: Mapping[str, _Table]) -> list[Stream]:
         return []
     names = _FIELDS["WHEEL_DISTANCE"][1 : 1 + int(table["count"][0])]
     return steps.wheels(table.t_ns, table.arrived_ns, table.vector(*names)) if names else []
+
+
+def _odometry(tables: Mapping[str, _Table], notes: list[str]) -> list[Stream]:
+    """Poses of the body (forward, right, down) from outside, in a frame that looks down, too; a quality below 0 is lost."""
+    table = tables.get("ODOMETRY")
+    if table is None:
+        return []
+    other_axes = (table["child_frame_id"] != mavlink.MAV_FRAME_BODY_FRD) | np.isin(table["frame_id"], _LEFT_UP)
+    if other_axes.any():
+        notes.append(
+            f"{other_axes.sum()} of {len(other_axes)} ODOMETRY left out: only BODY_FRD in LOCAL_FRD or LOCAL_NED is read"
+        )
+    rows = np.flatnonzero(~other_axes & (table["quality"] >= 0.0))
+    if not len(rows):
+        return []
+    notes.append("poses from outside (ODOMETRY) are /odometry; the configuration says how to use them")
+    run = 1000.0 * table["frame_id"] + table["reset_counter"]
+    p, q = table.vector("x", "y", "z")[rows], table.vector(*_Q)[rows]
+    return [recording.odometry(table.t_ns[rows], table.arrived_ns[rows], p, q, run[rows])]
+
+
+def _camera(tables: Mapping[str, _Table]) -> list[Stream]:
+    """A camera's steps; a confidence of 0 is none."""
+    table = tables.get("VISION_POSITION_DELTA")
+    if table is None:
+        return []
+    rows = np.flatnonzero(table["confidence"] > 0.0)
+    dt_ns = _ns(table["time_delta_usec"])[rows]
+    return steps.camera(table.t_ns[rows], table.arrived_ns[rows], dt_ns, table.vector(*_TURN)[rows], table.vector(*_WAY)[rows])
+
+
+def _flow(tables: Mapping[str, _Table], imu: Stream, notes: list[str]) -> list[Stream]:
+    """Over the range of the message; a quality of 0 is none."""
+    table = tables.get("OPTICAL_FLOW_RAD")
+    if table is None:
+        return []
+    rows = np.flatnonzero(table["quality"] > 0.0)
+    seen = table.vector("integrated_x", "integrated_y")[rows]
+    turn = table.vector("integrated_xgyro", "integrated_ygyro", "integrated_zgyro")[rows]
+    t_ns, arrived_ns, dt_ns = table.t_ns[rows], table.arrived_ns[rows], _ns(table["integration_time_us"])[rows]
+    return steps.flow(t_ns, arrived_ns, dt_ns, seen, turn, table["distance"][rows], [imu], notes)
 
 
 def _usable(tables: Mapping[str, _Table], autopilot: int) -> list[str]:

@@ -35,6 +35,8 @@ _FLOW_RAD_S: Final = 0.15  # white, of one message (EKF2_OF_N_MIN of PX4, EK3_FL
 _NOT_GIVEN: Final = -1.0
 _FINDER_SHARE: Final = 0.02  # 1-sigma of a range finder
 LEAST_RANGE_M: Final = 0.05
+SEEN_FROM_OUTSIDE: Final = frozenset({0, 1, 2, 3, 7})  # MAV_ESTIMATOR_TYPE of ODOMETRY: unknown, naive, vision, VIO, lidar.
+# The others rest on GNSS, or are an autopilot's own
 _WHEEL_NS: Final = 100_000_000  # of a speed, at least: a step of an encoder is some millimetres
 _FARTHEST_M: Final = 1e9
 _WHEEL_SIGMA_M_S: Final = 0.1

@@ -1,6 +1,6 @@
 """One step of odometry: two stereo pairs and the predicted motion -> the motion with its covariance, or why there is none.
 
-    pairs -> rectified, contrast normalised (Frame) -> corners, tracks -> Gauss-Newton (motion) -> Step
+    pairs -> contrast normalised, rectified at half size (Frame) -> corners, tracks -> Gauss-Newton (motion) -> Step
 
 A pure function: the same two pairs and the same prediction give the same bits. The prediction is where tracks begin and what
 tells two motions apart; it is never a measurement in the solution, or the filter would fuse its own estimate again.
@@ -9,22 +9,19 @@ tells two motions apart; it is never a measurement in the solution, or the filte
 from dataclasses import dataclass, field
 from typing import Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from models import so3
 from models.camera import StereoRig
 from models.messages import Array
-from vision.image.rectify import Image, Maps, Mask, Rectification, rectification, rectify
+from vision.image.rectify import Image
 from vision.odometry.corners import corners
 from vision.odometry.motion import Geometry, Motion, Plane, Solution, solve
 from vision.odometry.tracks import coarse_columns, stereo, temporal
+from vision.odometry.views import View, lenses
 from vision.records.images import usable
 
-_MEAN, _SPREAD, _MOST_GAIN = 128.0, 45.0, 10.0  # grey levels of a normalised image
-_EVERY: Final = 4  # px: of these alone mean and spread are computed
-_BORDER_PX: Final = 12  # corners stay so far from the border of what the camera has seen
 _MOST_DISPARITY: Final = 0.2  # of the image's width
 _PLANE_FACTOR: Final = 1.6  # points are no nearer and no further than this, in units of the plane's distance
 _SIGMA_PX: Final = 0.25  # of a track, in each coordinate
@@ -73,10 +70,10 @@ class Prediction:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """A pair, rectified and contrast normalised; right: None where there is none."""
+    """A pair as it is tracked in; right: None where there is none."""
 
-    left: Image
-    right: Image | None
+    left: View
+    right: View | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,10 +110,10 @@ class StereoOdometry:
     def __init__(self, rig: StereoRig, settings: OdometrySettings | None = None) -> None:
         self.settings = settings or OdometrySettings()
         self._raw: StereoRig = rig
-        self._rectification: Rectification = rectification(rig)
-        self._geometry = Geometry(self._rectification.rig)
+        rectified, self._left, self._right = lenses(rig)
+        self._geometry = Geometry(rectified)
+        self._inner = self._left.inner()
         self._disparity_sigma_px = max(_disparity_sigma_px(rig), self.settings.disparity_sigma_px)
-        self._seen = tuple(_inner(maps, rig) for maps in (self._rectification.left, self._rectification.right))
 
     def frame(self, left: Image | None, right: Image | None) -> Frame | str:
         """A raw pair as step() takes it, or what is wrong with it."""
@@ -125,23 +122,19 @@ class StereoOdometry:
             return images
         if images.left is None:
             return images.remark.removesuffix("; ")
-        maps = self._rectification
-        return Frame(
-            _normalised(images.left, maps.left),
-            None if images.right is None else _normalised(images.right, maps.right),
-        )
+        return Frame(self._left.view(images.left), None if images.right is None else self._right.view(images.right))
 
     def step(self, first: Frame, second: Frame, prediction: Prediction) -> Step:
         """The motion from the first frame to the second."""
         plane = self._plane(prediction)
-        px = corners(first.left, self._seen[0], self.settings.points)
-        if len(px) < _LEAST_POINTS:
-            return Step(f"too few corners: {len(px)} (blur, darkness or no texture)")
+        raw = corners(first.left.raw, self._inner, self.settings.points)
+        if len(raw) < _LEAST_POINTS:
+            return Step(f"too few corners: {len(raw)} (blur, darkness or no texture)")
         if plane is None and (first.right is None or self._raw.one_camera):
             return Step("one camera, and the height above the ground is not known")
-        tracks = self._tracks(first, second, px, prediction, plane)
+        tracks = self._tracks(first, second, raw, prediction, plane)
         if len(tracks.y0) < _LEAST_POINTS:
-            return Step(f"too few tracks: {len(tracks.y0)} of {len(px)} corners", points=len(tracks.y0), tracks=tracks)
+            return Step(f"too few tracks: {len(tracks.y0)} of {len(raw)} corners", points=len(tracks.y0), tracks=tracks)
         return self.motion_of(tracks, prediction)
 
     def _plane(self, prediction: Prediction) -> Plane | None:
@@ -156,23 +149,16 @@ class StereoOdometry:
         sigma = float(np.hypot(prediction.height_sigma_m, self.settings.relief_m))
         return Plane(n, h, sigma, float(np.radians(self.settings.slope_deg)), self.settings.roughness_m)
 
-    def _tracks(self, first: Frame, second: Frame, px: Array, prediction: Prediction, plane: Plane | None) -> Tracks:
-        """Corners followed to the right image, to the second frame, and to its right image."""
+    def _tracks(self, first: Frame, second: Frame, raw: Array, prediction: Prediction, plane: Plane | None) -> Tracks:
+        """Corners (raw pixels) followed to the right image, to the second frame, and to its right image."""
         geometry = self._geometry
-        column = np.full(len(px), np.nan)
-        if first.right is not None:
-            most = np.full(len(px), _MOST_DISPARITY * first.left.shape[1])
-            least = np.zeros(len(px))
-            if plane is not None:
-                d = geometry.plane_disparity(px, plane.pi)[0]
-                least, most = d / _PLANE_FACTOR, d * _PLANE_FACTOR + 2.0
-            zero = px[:, 0] - geometry.shift
-            column = coarse_columns(first.left, first.right, px, zero - most, zero - least)
-            column = stereo(first.left, first.right, px, column)
-        y0 = np.column_stack((px, column))
-        y0 = y0[~(geometry.disparity(y0) <= 0.0)]
+        px = self._left.rectified(raw)
+        raw, px = raw[np.isfinite(px[:, 0])], px[np.isfinite(px[:, 0])]
+        y0 = np.column_stack((px, self._columns(first, raw, px, plane)))
+        kept = ~(geometry.disparity(y0) <= 0.0)
         if plane is None:
-            y0 = y0[np.isfinite(y0[:, 2])]
+            kept &= np.isfinite(y0[:, 2])
+        y0, raw = y0[kept], raw[kept]
         if not len(y0):
             return Tracks(y0, y0)
         whole = y0.copy()
@@ -181,22 +167,31 @@ class StereoOdometry:
             whole[missing, 2] = y0[missing, 0] - geometry.shift - geometry.plane_disparity(y0[missing], plane.pi)[0]
         motion = Motion(prediction.p, so3.matrix(prediction.q))
         ahead, _ = geometry.project(geometry.seen_from(motion, geometry.points(whole)[0])[1])
-        there = temporal(first.left, second.left, y0[:, :2], ahead[:, :2], self._homography(motion))
+        turn = self._left.turn(geometry.R_bc.T @ motion.R @ geometry.R_bc)
+        raw = temporal(first.left.raw, second.left.raw, raw, self._left.raw(ahead[:, :2]), turn)
+        there = self._left.rectified(raw)
         kept = np.isfinite(there[:, 0])
-        y0, there, ahead = y0[kept], there[kept], ahead[kept]
+        y0, there, ahead, raw = y0[kept], there[kept], ahead[kept], raw[kept]
         column = np.full(len(there), np.nan)
         if second.right is not None:
-            column = stereo(second.left, second.right, there, there[:, 0] - (ahead[:, 0] - ahead[:, 2]))
+            guess = there[:, 0] - (ahead[:, 0] - ahead[:, 2])
+            column = stereo(second.left, second.right, raw, there[:, 1], guess, self._right)
         y1 = np.column_stack((there, column))
         y1[geometry.disparity(y1) <= 0.0, 2] = np.nan
         return Tracks(y0, y1)
 
-    def _homography(self, motion: Motion) -> Array:
-        """K R_c0c1 K^-1: turns the second left image to the attitude of the first."""
-        g = self._geometry
-        K = np.array([[g.f, 0.0, g.cx], [0.0, g.f, g.cy], [0.0, 0.0, 1.0]])
-        H: Array = K @ (g.R_bc.T @ motion.R @ g.R_bc) @ np.linalg.inv(K)
-        return H
+    def _columns(self, first: Frame, raw: Array, px: Array, plane: Plane | None) -> Array:
+        """u_r (N,) of the corners, raw and rectified pixels (N, 2): with a height only near the plane."""
+        if first.right is None:
+            return np.full(len(px), np.nan)
+        most = np.full(len(px), _MOST_DISPARITY * self._left.camera.width)
+        least = np.zeros(len(px))
+        if plane is not None:
+            d = self._geometry.plane_disparity(px, plane.pi)[0]
+            least, most = d / _PLANE_FACTOR, d * _PLANE_FACTOR + 2.0
+        zero = px[:, 0] - self._geometry.shift
+        coarse = coarse_columns(first.left, first.right, px, zero - most, zero - least)
+        return stereo(first.left, first.right, raw, px[:, 1], coarse, self._right)
 
     def motion_of(self, tracks: Tracks, prediction: Prediction) -> Step:
         """The motion that tracks show, checked."""
@@ -286,9 +281,9 @@ def _shared(px: Array, residuals: Array) -> float:
     That of tracks is small. Where it is not, points share an error, such as a part of the scene that moves slowly, and what they
     share does not become smaller with their number.
     """
-    apart = np.linalg.norm(px[:, None, :2] - px[None, :, :2], axis=2)
+    apart = np.square(px[:, None, 0] - px[:, 0]) + np.square(px[:, None, 1] - px[:, 1])
     np.fill_diagonal(apart, np.inf)
-    nearest = np.argsort(apart, axis=1, kind="stable")[:, :_NEIGHBOURS]
+    nearest = np.argpartition(apart, _NEIGHBOURS, axis=1)[:, :_NEIGHBOURS]
     power = float((residuals**2).sum())
     return float((residuals[:, None] * residuals[nearest]).sum()) / (_NEIGHBOURS * power) if power > 0.0 else 0.0
 
@@ -322,24 +317,3 @@ def _disparity_sigma_px(rig: StereoRig) -> float:
     if rig.covariance_rc is not None:
         variance += rig.left.fx**2 * float(rig.covariance_rc[4, 4])
     return float(np.sqrt(variance))
-
-
-def _normalised(image: Image, maps: Maps | None) -> Image:
-    """Rectified, grey, of mean 128 and spread 45: thresholds and brightness then mean the same in all four images."""
-    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    rectified = rectify(grey, maps)
-    sample = np.ascontiguousarray(rectified[::_EVERY, ::_EVERY])
-    seen = None if maps is None else np.ascontiguousarray(maps.valid[::_EVERY, ::_EVERY])
-    mean, spread = cv2.meanStdDev(sample, mask=seen)
-    gain = float(np.clip(_SPREAD / max(float(spread[0, 0]), 1e-3), 0.2, _MOST_GAIN))
-    table = np.clip(np.rint(_MEAN + gain * (np.arange(256.0) - float(mean[0, 0]))), 0.0, 255.0).astype(np.uint8)
-    return cv2.LUT(rectified, table)
-
-
-def _inner(maps: Maps | None, rig: StereoRig) -> Mask:
-    """Where corners may be: not near the border of what the camera has seen."""
-    mask = np.full((rig.left.height, rig.left.width), 255, np.uint8) if maps is None else maps.valid.copy()
-    mask[0] = mask[-1] = 0
-    mask[:, 0] = mask[:, -1] = 0
-    side = 2 * _BORDER_PX + 1
-    return np.asarray(cv2.erode(mask, np.ones((side, side), np.uint8)), np.uint8)

@@ -1,4 +1,4 @@
-"""Tracks of corners through two rectified stereo pairs by the pyramidal Lucas-Kanade method (Bouguet 2001).
+"""Tracks of corners through two stereo pairs by the pyramidal Lucas-Kanade method (Bouguet 2001), in raw images.
 
 A point is measured as y = (u_l, v_l, u_r): rectified pixels of the left image, and the column of the same point in the right one.
 NaN: not measured. Each match must come back to where it began, and stay in its row in the other camera.
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from models.messages import Array
 from vision.image.rectify import Image
+from vision.odometry.views import Lens, View, scaled_px
 
 _WINDOW: Final = (17, 17)  # px
 _STOP: Final = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01)
@@ -19,46 +20,51 @@ _LEVELS: Final = 3
 _BACK_PX: Final = 1.0  # forward and back again end so near to the beginning
 _ROW_PX: Final = 1.5  # of rectified images; calibration leaves some tenths
 _MARGIN_PX: Final = 8.0  # half a window
-_HALF: Final = 5  # of a window of the coarse search, px of the half image
+_HALF: Final = 5  # of a window of the coarse search, px of the small image
 _ALIKE: Final = 0.7  # least correlation there
 _PEAK, _DISTINCT = 3, 0.04  # no position further off than this many px correlates nearly as well: fences, windows
 
 
-def stereo(left: Image, right: Image, px: Array, column: Array) -> Array:
-    """u_r (N,) of left pixels px (N, 2); column (N,): where it is expected, within a few pixels; NaN: not found."""
-    there, found = _flow(left, right, px, np.column_stack((column, px[:, 1])), 1)
-    found &= np.abs(there[:, 1] - px[:, 1]) <= _ROW_PX
-    return np.where(found, there[:, 0], np.nan)
+def stereo(left: View, right: View, raw_px: Array, row: Array, guess: Array, lens: Lens) -> Array:
+    """u_r (N,) of raw left pixels (N, 2) whose rectified rows are row (N,); NaN: not found.
 
-
-def coarse_columns(left: Image, right: Image, px: Array, low: Array, high: Array) -> Array:
-    """u_r (N,) of left pixels px (N, 2) to about 1 px, between columns low and high (N,); NaN: nothing like it there, or twice.
-
-    Normalised cross-correlation along the row, in images of half the size: near points lie too far off for Lucas-Kanade.
+    guess (N,): the rectified column where it is expected, within a few pixels; lens: the right camera's.
     """
-    a, b = cv2.pyrDown(left), cv2.pyrDown(right)
+    there, found = _flow(left.raw, right.raw, raw_px, lens.raw(np.column_stack((guess, row))), left.scale.bit_length() - 1)
+    px = lens.rectified(there)
+    found &= np.abs(px[:, 1] - row) <= _ROW_PX
+    return np.where(found, px[:, 0], np.nan)
+
+
+def coarse_columns(left: View, right: View, px: Array, low: Array, high: Array) -> Array:
+    """u_r (N,) of rectified left pixels px (N, 2) to about 1 px, between columns low and high (N,); NaN: nothing alike, or twice.
+
+    Normalised cross-correlation along the row, in the small images: near points lie too far off for Lucas-Kanade.
+    """
+    a, b, k_small = left.small, right.small, 1.0 / left.scale
     height, width = a.shape
-    half = np.rint(0.5 * px).astype(int)
-    first = np.clip(np.floor(0.5 * low).astype(int), _HALF, width - 1 - _HALF)
-    last = np.clip(np.ceil(0.5 * high).astype(int), _HALF, width - 1 - _HALF)
+    exact = scaled_px(px, k_small)
+    nearest = np.rint(exact).astype(int)
+    first = np.clip(np.floor(scaled_px(low, k_small)).astype(int), _HALF, width - 1 - _HALF)
+    last = np.clip(np.ceil(scaled_px(high, k_small)).astype(int), _HALF, width - 1 - _HALF)
     columns = np.full(len(px), np.nan)
-    for k, (u, v) in enumerate(half.tolist()):
-        if not (_HALF <= u < width - _HALF and _HALF <= v < height - _HALF and first[k] <= last[k]):
+    for k, ((u, v), begin, end) in enumerate(zip(nearest.tolist(), first.tolist(), last.tolist(), strict=True)):
+        if not (_HALF <= u < width - _HALF and _HALF <= v < height - _HALF and begin <= end):
             continue
         rows = slice(v - _HALF, v + _HALF + 1)
         score = cv2.matchTemplate(
-            b[rows, first[k] - _HALF : last[k] + _HALF + 1], a[rows, u - _HALF : u + _HALF + 1], cv2.TM_CCOEFF_NORMED
-        )
+            b[rows, begin - _HALF : end + _HALF + 1], a[rows, u - _HALF : u + _HALF + 1], cv2.TM_CCOEFF_NORMED
+        )[0]
         best = int(score.argmax())
-        peak = float(score[0, best])
-        score[0, max(best - _PEAK, 0) : best + _PEAK + 1] = -1.0
+        peak = float(score[best])
+        score[max(best - _PEAK, 0) : best + _PEAK + 1] = -1.0
         if peak >= _ALIKE and float(score.max()) <= peak - _DISTINCT:
-            columns[k] = 2.0 * (first[k] + best) + px[k, 0] - 2.0 * u
-    return columns
+            columns[k] = begin + best - u
+    return scaled_px(columns + exact[:, 0], left.scale)
 
 
 def temporal(first: Image, second: Image, px: Array, guess: Array, H: Array) -> Array:
-    """(N, 2) pixels in the second image of first pixels px (N, 2).
+    """(N, 2) pixels in the second image of first pixels px (N, 2), both raw.
 
     H (3, 3): turns the second image to the attitude of the first (H ~ K R_01 K^-1), so that a turn about the optical axis does
     not turn the patches against each other. guess (N, 2): expected pixels in the second image.

@@ -10,19 +10,10 @@ from typing import Any, Final
 import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
-from logs.wire.increments import CameraSteps, FlowSteps, Range, Wheels
+from logs.wire.increments import SEEN_FROM_OUTSIDE, CameraSteps, FlowSteps, Range, Wheels
 from models.messages import OdometryDelta, OdometryPose, Reading
 
 _US_NS: Final = 1_000
-_SEEN: Final = frozenset(
-    {
-        mavlink.MAV_ESTIMATOR_TYPE_UNKNOWN,
-        mavlink.MAV_ESTIMATOR_TYPE_NAIVE,
-        mavlink.MAV_ESTIMATOR_TYPE_VISION,
-        mavlink.MAV_ESTIMATOR_TYPE_VIO,
-        mavlink.MAV_ESTIMATOR_TYPE_LIDAR,
-    }
-)  # the others rest on GNSS, or are an autopilot's own
 _LEFT_UP: Final = frozenset({mavlink.MAV_FRAME_LOCAL_FLU, mavlink.MAV_FRAME_LOCAL_ENU})  # the body's axes stay FRD
 
 
@@ -46,7 +37,7 @@ def wheels(ways: Wheels, message: Any, t_ns: int) -> list[Reading]:
 
 def pose(message: Any, t_ns: int, topic: str) -> OdometryPose | None:
     """ODOMETRY of a camera, lidar or wheels; None: of something else, or lost. Raises ValueError for what is no pose."""
-    if message.estimator_type not in _SEEN or message.quality < 0:
+    if message.estimator_type not in SEEN_FROM_OUTSIDE or message.quality < 0:
         return None
     if message.child_frame_id != mavlink.MAV_FRAME_BODY_FRD:
         raise ValueError(f"child_frame_id {message.child_frame_id}: BODY_FRD is expected")

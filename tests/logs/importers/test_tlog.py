@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 from pymavlink import mavutil
+from pymavlink.dialects.v20 import ardupilotmega
 from pymavlink.dialects.v20 import common as mavlink2
 
 from logs.importers import tlog
 from logs.importers.recording import ImportOptions, Recording, Truth
 from logs.store.reader import LogError
 from models import so3
-from models.messages import AttitudePrior, GnssFix, GnssVelocity, ImuSample, Reading
+from models.messages import AttitudePrior, GnssFix, GnssVelocity, ImuSample, OdometryDelta, OdometryPose, Reading
 
 
 @pytest.fixture(scope="module")
@@ -281,6 +282,67 @@ def test_wheels_are_a_velocity_forward(tmp_path: Path) -> None:
     assert [m.arrived_ns - m.t_ns for m in got] == [55_000_000] * 2
     np.testing.assert_allclose([m.values for m in got], [(1.5, 0.0, 0.0)] * 2, atol=1e-9)
     assert "across_sigma_m_s = 0.1" in recording.settings.toml("tlog", tmp_path, ("/imu", "/velocity_body"))
+
+
+def odometry(boot_us: int, x: float, *, estimator: int = 3, reset: int = 0, quality: int = 80, child: int = 12) -> Any:
+    nothing = [float("nan")] * 21
+    return mavlink2.MAVLink_odometry_message(
+        boot_us, 20, child, x, 0.2, -0.3, [1.0, 0.0, 0.0, 0.0], 0, 0, 0, 0, 0, 0, nothing, nothing, reset, estimator, quality
+    )
+
+
+def test_poses_from_outside_are_odometry(tmp_path: Path) -> None:
+    """Those of the autopilot itself (estimator 8), of a camera that is lost and in other axes are not."""
+    ground = Ground()
+    for k in range(8):
+        ground.imu(k * 50_000, 1_000_000 + k * 50_000)
+        ground.hear(k * 50_000 + 5_000, odometry(1_000_000 + k * 50_000, 0.1 * k, reset=int(k > 2), quality=-1 if k == 1 else 80))
+    ground.hear(410_000, odometry(1_400_000, 9.0, estimator=8))
+    ground.hear(460_000, odometry(1_450_000, 9.0, child=8))
+    recording = tlog.read(ground.write(tmp_path))
+    got = [m for m in recording if isinstance(m, OdometryPose)]
+    np.testing.assert_allclose([m.p_o for m in got], [(0.1 * k, 0.2, -0.3) for k in (0, 2, 3, 4, 5, 6, 7)], atol=1e-6)
+    assert [m.t_ns // 1000 - START_US for m in got] == [k * 50_000 for k in (0, 2, 3, 4, 5, 6, 7)]
+    assert len({m.frame for m in got}) == 2
+    assert any("1 of 9 ODOMETRY left out" in note for note in recording.notes)
+    assert '# odometry = "/odometry"' in recording.settings.toml("tlog", tmp_path, ("/imu", "/odometry"))
+
+
+def test_a_cameras_steps_are_increments(tmp_path: Path) -> None:
+    """1 m/s forward (seen at the end of each step) and 0.5 rad/s, every 50 ms: an arc, in increments of half a second."""
+    ground = Ground(autopilot=3)
+    for k in range(21):
+        boot_us = 1_000_000 + k * 50_000
+        ground.imu(k * 50_000, boot_us)
+        turn, moved = [0.0, 0.0, 0.025], [0.05, 0.0, 0.0]
+        step = ardupilotmega.MAVLink_vision_position_delta_message(boot_us, 50_000, turn, moved, 90.0)
+        ground.hear(k * 50_000 + 5_000, step)
+    recording = tlog.read(ground.write(tmp_path))
+    got = [m for m in recording if isinstance(m, OdometryDelta)]
+    assert len(got) == 2
+    assert {m.t_ns - m.t0_ns for m in got} == {500_000_000}
+    for m in got:
+        np.testing.assert_allclose(m.dp_b, (2.0 * np.sin(0.25), 2.0 * (1.0 - np.cos(0.25)), 0.0), atol=0.01)
+        np.testing.assert_allclose(m.dq_wxyz, (np.cos(0.125), 0.0, 0.0, np.sin(0.125)), atol=1e-6)
+    assert 'odometry_delta = ["/odometry_delta"]' in recording.settings.toml("tlog", tmp_path, ("/imu", "/odometry_delta"))
+
+
+def test_flow_over_the_range_of_its_message(tmp_path: Path) -> None:
+    """2 m/s forward at 10 m: 0.2 rad/s about y. A quality of 0 is none, and without a range there is a note."""
+    ground = Ground()
+    for k in range(13):
+        boot_us = 1_000_000 + k * 50_000
+        ground.imu(k * 50_000, boot_us)
+        metres, quality = (10.0 if k < 9 else -1.0), (0 if k == 8 else 200)
+        flow = mavlink2.MAVLink_optical_flow_rad_message(boot_us, 0, 50_000, 0.0, 0.01, 0.0, 0.0, 0.0, 0, quality, 0, metres)
+        ground.hear(k * 50_000 + 5_000, flow)
+    recording = tlog.read(ground.write(tmp_path))
+    got = [m for m in recording if isinstance(m, OdometryDelta)]
+    assert len(got) == 2
+    for m in got:
+        np.testing.assert_allclose(m.dp_b, (0.4, 0.0, 0.0), atol=1e-6)
+        assert m.topic == "/optical_flow"
+    assert "4 of 12 messages of optical flow left out: no range to the ground at that time" in recording.notes
 
 
 def test_raw_counts_of_other_autopilots_are_no_imu(tmp_path: Path) -> None:
