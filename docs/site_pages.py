@@ -44,7 +44,7 @@ def on_page_content(html: str, **_: Any) -> str:
     return _FORMULA.sub(_math, html)
 
 
-@event_priority(-200)  # behind the plugin `offline`
+@event_priority(-200)  # type: ignore[untyped-decorator,unused-ignore]  # behind the plugin `offline`
 def on_post_build(config: Any) -> None:
     """The site works from a disk: its search index is a script, and no page loads anything from the network."""
     site = Path(config["site_dir"])

@@ -14,6 +14,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from copy import deepcopy
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -27,6 +28,7 @@ from estimator.fusion import Fusion
 from estimator.sources.air import drag
 from estimator.sources.air.wind import WIND, estimated
 from estimator.sources.source import Aid, SensorRules, order
+from models.frames import Origin
 from models.messages import Array
 from models.sim.air import blow
 from models.sim.scenario import Scenario, Simulation, simulate
@@ -80,6 +82,11 @@ class _Truth(NamedTuple):
     constants: dict[str, Array]
 
 
+def _given(z: Given, _: Origin | None) -> Given:
+    """The same whatever the origin."""
+    return z
+
+
 def _true(simulation: Simulation, made_of: Scenario, wind_m_s: float, begin_ns: int) -> _Truth:
     truth, k = simulation.truth, int(np.searchsorted(simulation.truth.t_ns, begin_ns))
     x = np.concatenate([truth.p_n[k], truth.v_n[k], truth.q_nb_wxyz[k], truth.gyro_bias[k], truth.accel_bias[k]])
@@ -109,7 +116,7 @@ def _aids(true: _Truth, parts: Sequence[str], t_ns: int) -> Iterator[Aid]:
                 rules=_RULES,
                 absolute=False,
                 log_false=-1e3,
-                measurement=lambda _, z=z: z,
+                measurement=partial(_given, z),
                 slow_errors=slow,
                 weighs=False,
             )

@@ -36,13 +36,13 @@ class SlowErrors:
 
     def joined(self, blocks: Sequence[str], other: "SlowErrors") -> "SlowErrors":
         """With these blocks of another behind its own, means included."""
-        columns, every = self.columns, (self.tau_s, self.psd, self.mean, self.estimated)
+        columns, every = self.columns, [self.tau_s, self.psd, self.mean, self.estimated]
         for block in blocks:
             start, at = E.SIZE + len(every[0]), other.columns[block]
             own = slice(at.start - E.SIZE, at.stop - E.SIZE)
             columns = columns | {block: slice(start, start + at.stop - at.start)}
             theirs = (other.tau_s, other.psd, other.mean, other.estimated)
-            every = tuple(np.concatenate((mine, a[own])) for mine, a in zip(every, theirs, strict=True))
+            every = [np.concatenate((mine, a[own])) for mine, a in zip(every, theirs, strict=True)]
         return SlowErrors(columns, *every)
 
     def without(self, block: str) -> "SlowErrors":

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from benchmarks.integrity.__main__ import cluster, jobs
+from benchmarks.integrity.pictures import draw
 from benchmarks.integrity.record import added
-from benchmarks.integrity.report import _delay, bound, is_faulty, summary, table
+from benchmarks.integrity.report import _delay, bound, groups_table, is_faulty, summary, table
 from benchmarks.integrity.rows import Row, _delays, _events
 from benchmarks.integrity.runs import run
 from models.messages import Alert, Integrity

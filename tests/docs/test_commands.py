@@ -58,7 +58,9 @@ NOT_RUN = {
     "reboot": "ArduPilot", "param fetch": "ArduPilot",
     "landfix run ": "flies until it is stopped", "landfix monitor ": "watches until it is stopped",
     "landfix doctor -c examples/ardupilot_sitl.toml --autopilot ": "needs a simulator",
-    **dict.fromkeys((f"landfix {name} out/sitl/" for name in ("report", "doctor", "replay", "evaluate")), "of a flight in a simulator"),
+    **dict.fromkeys(
+        (f"landfix {name} out/sitl/" for name in ("report", "doctor", "replay", "evaluate")), "of a flight in a simulator"
+    ),
     "landfix import dataflash ": "tests/flown", "python examples/sitl_fixes.py ": "needs a simulator",
     "make install": "has put this in place", "source ": "the shell's own",
     "git clone ": "the network",

@@ -157,7 +157,9 @@ def _stream(name: str, topic: _Topic) -> list[Check]:
         checks.append(judge(f"{name} content", found, fail=fail, warn=True, advice="see what writes this topic"))
     if topic.assumed:
         found = f"{topic.assumptions} of {topic.count}: {topic.assumed}"
-        checks.append(judge(f"{name} accuracy", found, warn=True, advice="let the driver report it, or set what fits the receiver"))
+        checks.append(
+            judge(f"{name} accuracy", found, warn=True, advice="let the driver report it, or set what fits the receiver")
+        )
     if not topic.stamps:
         return checks
     t, arrived = np.array(topic.stamps), np.array(topic.arrivals)

@@ -74,10 +74,12 @@ def test_drawn_while_somebody_subscribes_and_only_then(tmp_path: Path) -> None:
     with in_thread(config, tmp_path) as daemon, client(port) as session, _hovering(daemon):
         count = _counts(session)
         cameras: dict[str, bytes] = {}
+
+        def keep(topic: str) -> Callable[[zenoh.Sample], None]:
+            return lambda sample: cameras.update({topic: sample.payload.to_bytes()})
+
         for topic, schema in CAMERAS.items():
-            _ = session.declare_subscriber(
-                rmw_key(0, topic, schema), lambda s, t=topic: cameras.update({t: s.payload.to_bytes()})
-            )
+            _ = session.declare_subscriber(rmw_key(0, topic, schema), keep(topic))
         until(lambda: count("answers") >= 4 and len(cameras) == len(CAMERAS), "vision sees, and the cameras are announced")
         assert count("overlays") == 0, "nobody has subscribed"
         watcher = session.declare_subscriber(key, lambda sample: got.append(sample.payload.to_bytes()))
