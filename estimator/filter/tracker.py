@@ -55,7 +55,6 @@ class Tracker(Alignment):
         self.rest_since: tuple[int, float] | None = None  # and the heading then
         self.sources: dict[str, SourceState] = {}
         self.same: dict[str, tuple[bytes, int]] = {}  # what a sensor reads, and since when, by topic
-        self.absolute: frozenset[str] = frozenset()  # topics that have given positions
         self.last_odometry_ns = NEVER
         self.kept: dict[str, Kept] = {}  # poses that the filters keep, by topic of odometry
         self.anchor: GnssAnchor | None = None

@@ -56,17 +56,17 @@ class VarianceFactor(NamedTuple):
         """There are readings enough of some topic."""
         return any(len(r.ratios) >= _FEWEST for _, r in self.recent)
 
-    @property
-    def largest(self) -> float:
-        """The largest r that counts."""
-        return LARGEST if self.usual >= _ENOUGH else LARGEST_AT_FIRST
+    def also(self, topic: str, t_ns: int, distance2: float, dof: int, largest: float | None = None) -> "VarianceFactor":
+        """With one more innovation, of squared Mahalanobis distance distance2 with f = 1, unless r is larger than `largest`.
 
-    def also(self, topic: str, t_ns: int, distance2: float, dof: int, largest: float = math.inf) -> "VarianceFactor":
-        """With one more innovation, of squared Mahalanobis distance distance2 with f = 1, unless r is larger than `largest`."""
+        None: than noise, where the innovations have been usual for a while, or where another source is heard.
+        """
         by_topic = {name: r for name, r in self.recent if name == topic or (t_ns - r.t_ns) * 1e-9 < _SILENT_S}
+        if largest is None:
+            largest = LARGEST if self.usual >= _ENOUGH or set(by_topic) - {topic} else LARGEST_AT_FIRST
         ratio, usual = distance2 / gate(0.5, dof), gate(_USUAL, dof) / gate(0.5, dof)
         ratios = by_topic[topic].ratios if topic in by_topic else ()
-        by_topic[topic] = Recent(t_ns, (*ratios[1 - _WINDOW :], ratio) if ratio <= min(largest, self.largest) else ratios, usual)
+        by_topic[topic] = Recent(t_ns, (*ratios[1 - _WINDOW :], ratio) if ratio <= largest else ratios, usual)
         excess = min(r.excess for r in by_topic.values())
         faded = 1.0 + (self.value - 1.0) * math.exp(-(t_ns - self.t_ns) * 1e-9 / _FADES_S)
         value = max(excess, faded if faded > _GONE else 1.0)

@@ -5,7 +5,6 @@ one is left; a prior attitude, a course or a measured heading begins with that. 
 well enough and the stretch so far, run again, confirms the filter.
 """
 
-import math
 from dataclasses import dataclass
 from dataclasses import replace as replace_in
 from typing import NamedTuple
@@ -23,7 +22,7 @@ from estimator.filter.eskf import Innovation
 from estimator.filter.hypotheses import Hypotheses
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.relinearise import Stretch, relinearise
-from estimator.filter.variance_factor import LARGEST, NO_EXCESS
+from estimator.filter.variance_factor import LARGEST, LARGEST_AT_FIRST, NO_EXCESS
 from estimator.sources.gating import gate
 from estimator.sources.imu.plausibility import Plausibility, stream_plausibility
 from estimator.sources.source import Aid, Phase
@@ -97,6 +96,7 @@ class Alignment:
         self.variance_factor = NO_EXCESS
         self.direction: tuple[float, ...] = ()  # of the newest innovation of an absolute source during the alignment
         self.apart: dict[str, Apart] = {}  # absolute sources that persist in disagreeing with the estimate, by topic
+        self.absolute: frozenset[str] = frozenset()  # topics that have given positions
         self.plausibility = Plausibility(Phase.STARTING, _NO_START)
         self.last_absolute_ns = NEVER
 
@@ -194,7 +194,7 @@ class Alignment:
             foreseen |= seen.distance2 <= limit and not persists
             if len(self.hypotheses.members) == 1:
                 follows = self._follows(aid, seen, limit, persists=persists)
-                self._note_variance(aid, seen, LARGEST if persists else math.inf)
+                self._note_variance(aid, seen, LARGEST if persists else LARGEST_AT_FIRST)
             disagrees = seen.distance2 * self.variance_factor.value > limit
             if persists or not disagrees:
                 self._note_apart(aid, z, disagrees=disagrees)
@@ -222,7 +222,9 @@ class Alignment:
         Once, and then while the innovations do not keep pointing the same way: an IMU that is wrong is not followed.
         """
         assert self.hypotheses is not None
-        if not self.contradiction.unforeseen or (persists and self.stretch is not None and self.stretch.has_followed):
+        is_alone = self.absolute <= {aid.topic}  # else the two may be in conflict
+        has_followed = self.stretch is not None and self.stretch.has_followed
+        if not is_alone or not self.contradiction.unforeseen or (persists and has_followed):
             return False
         if seen.distance2 > limit and seen.log_likelihood <= aid.log_false:  # what weigh() has not fused
             self.hypotheses.lead.update(seen)
@@ -257,7 +259,7 @@ class Alignment:
         if before:
             self.apart = {topic: apart for topic, apart in self.apart.items() if topic != aid.topic}
 
-    def _note_variance(self, aid: Aid, seen: Innovation, largest: float = math.inf) -> None:
+    def _note_variance(self, aid: Aid, seen: Innovation, largest: float | None = None) -> None:
         """One more innovation of an absolute source, of the leading filter."""
         assert self.hypotheses is not None
         distance2 = seen.distance2 * self.variance_factor.value
