@@ -53,7 +53,7 @@ NOT_RUN = {
     "reboot": "ArduPilot", "param fetch": "ArduPilot",
     "landfix run ": "flies until it is stopped", "landfix monitor ": "watches until it is stopped",
     "landfix doctor -c examples/ardupilot_sitl.toml --autopilot ": "needs a simulator",
-    **dict.fromkeys((f"landfix {name} out/sitl/" for name in ("report", "doctor", "replay", "evaluate")), "of a flight in a simulator"),
+    **dict.fromkeys((f"landfix {n} out/sitl/" for n in ("report", "doctor", "replay", "evaluate")), "of a simulator's flight"),
     "landfix import dataflash ": "tests/flown", "python examples/sitl_fixes.py ": "needs a simulator",
     "make install": "has put this in place", "source ": "the shell's own",
     "make demo": "tests/estimator/tools/test_demo.py flies a shorter one", "make test": "is what runs this",

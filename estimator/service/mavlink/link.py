@@ -16,10 +16,10 @@ from estimator.service.autopilot.output_policy import OutputPolicy, is_sound, ne
 from estimator.service.base.clock import SECOND_NS, Clock
 from estimator.service.base.ports import Inbox
 from estimator.service.mavlink import codec
-from estimator.service.mavlink.local_frame import LocalOrigin
 from estimator.service.mavlink.config import MavlinkConfig, address_of, signing_key
 from estimator.service.mavlink.inputs import Inputs
 from estimator.service.mavlink.io import opened
+from estimator.service.mavlink.local_frame import LocalOrigin
 from estimator.service.mavlink.wire import Wire
 from estimator.strict_toml import ConfigError
 from logs.wire.codec import Encoded, Topics

@@ -33,7 +33,7 @@ _IF_LOST: Final = 4  # of GPS_AUTO_SWITCH: the second receiver only where the fi
 _SWITCH: Final = 90
 _SOFT_M_S: Final = 0.5
 _SLOW_MS: Final = 60.0
-_LOWPASS_MS: Final = 1e3 * 2**0.5 / (2.0 * np.pi)  # delay of a Butterworth filter of second order at low frequencies, times its Hz
+_LOWPASS_MS: Final = 1e3 * 2**0.5 / (2.0 * np.pi)  # delay of a Butterworth filter of second order, times its Hz
 _LATE_IMU_MS: Final = 25.0
 
 

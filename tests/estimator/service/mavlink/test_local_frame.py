@@ -60,7 +60,9 @@ def _as_px4_reads(lat0: float, lon0: float, sea0: float, p: Vec3) -> Vec3:
     return math.degrees(lat), lon0 + math.degrees(turn), sea0 - p[2]
 
 
-@pytest.mark.parametrize("away_n", [(0.0, 0.0, 0.0), (300.0, -200.0, -20.0), (9000.0, 7000.0, -400.0), (-40_000.0, 60_000.0, 90.0)])
+@pytest.mark.parametrize(
+    "away_n", [(0.0, 0.0, 0.0), (300.0, -200.0, -20.0), (9000.0, 7000.0, -400.0), (-40_000.0, 60_000.0, 90.0)]
+)
 @pytest.mark.parametrize("origin_n", [(0.0, 0.0, 0.0), (250.0, 260.0, 5.0), (-20_000.0, 3000.0, 100.0)])
 def test_px4_reads_the_place_that_is_meant(away_n: Vec3, origin_n: Vec3) -> None:
     lat0, lon0, ellipsoid0 = MAP.to_geodetic(origin_n)
