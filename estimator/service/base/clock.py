@@ -4,8 +4,8 @@
 
 A stamp t' of another clock, which is ahead of ours by a:  t = t' - a,  lag = arrival - t >= the least delay of the way.
 From messages that go one way only a is known from above, a <= t' - arrival + delay, and the quickest message of the last seconds
-is the best bound; from a question and its answer a is known within half the time that both took (Cristian 1989). Two intervals
-[a_1 - h_1, a_1 + h_1] and [a_2 - h_2, a_2 + h_2] that do not overlap cannot both hold a (Marzullo 1984): the other clock has stepped.
+is the best bound; from a question and its answer a is known within half the time that both took (Cristian 1989). Two intervals,
+[a_1 - h_1, a_1 + h_1] and [a_2 - h_2, a_2 + h_2], that do not overlap cannot both hold a (Marzullo 1984): that clock has stepped.
 """
 
 import time
