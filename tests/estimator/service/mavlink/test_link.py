@@ -187,9 +187,11 @@ def test_odometry_goes_out_in_the_convention_of_who_is_there(kind: int, frame: i
 
 
 def _say_origin(autopilot: UdpAutopilot, away_n: tuple[float, float, float]) -> None:
-    """EKF3's, so far from the map's; its height is above the sea."""
+    """EKF's, so far from the map's; its height is above the sea."""
     lat, lon, alt_m = ORIGIN.to_geodetic(away_n)
-    autopilot.say(mavlink.MAVLink_gps_global_origin_message(round(lat * 1e7), round(lon * 1e7), round((alt_m - 47.5) * 1e3)))
+    there = mavlink.MAVLink_gps_global_origin_message(round(lat * 1e7), round(lon * 1e7), round((alt_m - 47.5) * 1e3))
+    autopilot.origin = there if autopilot.kind == PX4 else None  # it is asked again
+    autopilot.say(there)
 
 
 def test_odometry_for_ardupilot_counts_from_its_origin_and_is_not_to_be_used_before_that_is_known() -> None:
