@@ -9,7 +9,7 @@ import pytest
 from benchmarks.integrity.__main__ import cluster, jobs
 from benchmarks.integrity.pictures import draw
 from benchmarks.integrity.record import added
-from benchmarks.integrity.report import _delay, bound, groups_table, is_faulty, summary, table
+from benchmarks.integrity.report import _delay, bound, group_of, groups_table, is_faulty, summary, table
 from benchmarks.integrity.rows import Row, _delays, _events
 from benchmarks.integrity.runs import run
 from models.messages import Alert, Integrity
@@ -97,3 +97,19 @@ def test_without_a_scheduler_processes_here_do_the_work() -> None:
         assert executor is None
     with pytest.raises(SystemExit, match=r"distributed|no scheduler answers"), cluster("tcp://127.0.0.1:1"):
         pass
+
+
+@pytest.mark.parametrize(
+    ("group", "flight", "kind", "size", "name"),
+    [
+        ("stress", "sim/wing", "GNSS pulled, fixes 1 Hz", 3.0, "conflicts"),
+        ("stress", "sim/wing", "map shift", 5.0, "beyond the fault table"),
+        ("stress", "sim/wing", "fix delay", 80.0, "stress table"),
+        ("stress", "euroc/MH_03_medium", "nothing, with GNSS", 0.0, "recorded flights"),
+        ("real", "euroc/MH_03_medium", "B", 0.0, "outages"),
+        ("real", "euroc/MH_03_medium", "X", 0.0, "false fixes"),
+        ("looks", "random, prior 5 m", "", 1000.0, ""),
+    ],
+)
+def test_a_flight_is_counted_in_one_group(group: str, flight: str, kind: str, size: float, name: str) -> None:
+    assert group_of(Row(group, flight, kind, size, 0)) == name
