@@ -219,12 +219,13 @@ class Alignment:
     def _follows(self, aid: Aid, seen: Innovation, limit: float, *, persists: bool) -> bool:
         """Fuse what the only filter has not foreseen, after another such one, for without fixes it reckons ever farther off.
 
-        Once, and then while the innovations do not keep pointing the same way: an IMU that is wrong is not followed.
+        Once, and then while the innovations do not keep pointing the same way; not after a filter was given up: an IMU that is
+        wrong is not followed.
         """
         assert self.hypotheses is not None
         is_alone = self.absolute <= {aid.topic}  # else the two may be in conflict
         has_followed = self.stretch is not None and self.stretch.has_followed
-        if not is_alone or not self.contradiction.unforeseen or (persists and has_followed):
+        if self.given_up or not is_alone or not self.contradiction.unforeseen or (persists and has_followed):
             return False
         if seen.distance2 > limit and seen.log_likelihood <= aid.log_false:  # what weigh() has not fused
             self.hypotheses.lead.update(seen)
