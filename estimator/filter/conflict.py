@@ -12,21 +12,21 @@ spoofed receiver does not spoil the covariance for good.
 """
 
 import math
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
 from estimator.sources.gating import gate
 from estimator.sources.source import Aid
-from models.measurements import Pose, Position
+from models.measurements import Measurement, Pose, Position
 from models.messages import Array
 
 _XYZ = 3
-
 _MAP_IS_WRONG = 0.05  # w_0
 _MAP_OFF_M = 20.0  # d_0
 _SHOWS = 2.0  # times d_0: w is a fiftieth of w_0
-LASTS_NS = 1_000_000_000  # shorter ones are outliers
+_LASTS_NS = 1_000_000_000  # shorter ones are outliers
 _NEAR = 0.1  # share of the positions of a receiver that is right which are nearer
 
 
@@ -41,7 +41,7 @@ class Apart(NamedTuple):
     @property
     def lasts(self) -> bool:
         """For so long that it is no outlier."""
-        return self.last_ns - self.since_ns >= LASTS_NS
+        return self.last_ns - self.since_ns >= _LASTS_NS
 
     @property
     def may_be_right(self) -> bool:
@@ -60,7 +60,43 @@ class Apart(NamedTuple):
         return bool(self.off @ np.linalg.solve(self.s, self.off) <= gate(_NEAR, _XYZ))
 
 
-def apart(before: Apart | None, aid: Aid, z: Position | Pose, position_n: Array) -> Apart:
-    """A source that stands elsewhere than the estimate at position_n (3,) [m]; before: what was known of it."""
-    s = z.noise[:_XYZ, :_XYZ] + sum(slow.covariance for slow in aid.slow_errors if len(slow.covariance) == _XYZ)
-    return Apart(before.since_ns if before else aid.t_ns, aid.t_ns, z.z_n - position_n, s)
+@dataclass(frozen=True, slots=True)
+class Conflicts:
+    """apart: sources that persist in disagreeing with the estimate, by topic.
+
+    contrary_ns: when a velocity of a receiver was last rejected, by the topic of its positions.
+    """
+
+    apart: dict[str, Apart] = field(default_factory=dict)
+    contrary_ns: dict[str, int] = field(default_factory=dict)
+
+    def compared(self, aid: Aid, z: Measurement, position_n: Array, *, disagrees: bool, lingers: bool = False) -> "Conflicts":
+        """With a reading beside the estimate at position_n (3,) [m]; lingers: a conflict goes on until the source is near."""
+        before = self.apart.get(aid.topic)
+        if (disagrees or (lingers and before)) and isinstance(z, Position | Pose) and len(z.z_n) == len(z.rows[:_XYZ]):
+            slow = sum(error.covariance for error in aid.slow_errors if len(error.covariance) == _XYZ)
+            since_ns = before.since_ns if before else aid.t_ns
+            now = Apart(since_ns, aid.t_ns, z.z_n - position_n, z.noise[:_XYZ, :_XYZ] + slow)
+            if disagrees or not now.is_near:
+                return Conflicts({**self.apart, aid.topic: now}, self.contrary_ns)
+        return Conflicts({t: a for t, a in self.apart.items() if t != aid.topic}, self.contrary_ns) if before else self
+
+    def judged(self, aid: Aid, z: Measurement, position_n: Array, *, is_rejected: bool) -> "Conflicts":
+        """Once aligned: the same for receivers, whose positions or velocities the estimate rejects."""
+        if aid.receiver and is_rejected:
+            return Conflicts(self.apart, self.contrary_ns | {aid.receiver: aid.t_ns})
+        if not aid.absolute:
+            return self
+        is_receiver, contrary_ns = aid.log_misled is not None, self.contrary_ns.get(aid.topic)
+        is_contrary = is_rejected or (contrary_ns is not None and aid.t_ns - contrary_ns < _LASTS_NS)
+        return self.compared(aid, z, position_n, disagrees=is_receiver and is_contrary, lingers=is_receiver)
+
+    def added(self, *, is_decided: bool) -> Array:
+        """To the covariance of the position, (3, 3). Until one of the sources is decided for, both count."""
+        total = np.zeros((_XYZ, _XYZ))
+        for apart in self.apart.values():
+            if not is_decided:
+                total += np.outer(apart.off, apart.off)
+            elif apart.lasts:
+                total += apart.added
+        return total

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from msgspec.structs import replace
 
-from estimator.filter import conflict, contradiction, remarks
+from estimator.filter import contradiction, remarks
 from estimator.filter.alignment import AT_REST, NEVER, NO_POSITION, Alignment, Decision, TrackerConfig, covariance, lacks
 from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.gnss_anchor import GnssAnchor
@@ -61,7 +61,6 @@ class Tracker(Alignment):
         self.path_scale = PathScale()
         self.delays: Delays = {}
         self.bias_walk = BiasWalk()
-        self.contrary_ns: dict[str, int] = {}  # when a velocity of a receiver was last rejected, by the topic of its positions
 
     def copy(self) -> "Tracker":
         """An independent tracker in the same state; what never changes in place is shared."""
@@ -91,17 +90,11 @@ class Tracker(Alignment):
         """Of what is shown."""
         bank = self.bank
         assert bank is not None
+        cov = bank.covariance() if self.is_aligned else covariance(bank, self.config.initialise)
+        if self.conflicts.apart:
+            cov[E.P, E.P] += self.conflicts.added(is_decided=self.is_aligned)
         if self.is_aligned and self.without_sensor is not None:
-            return self.without_sensor.mixed(bank.covariance(), bank.lead.x)
-        if self.is_aligned:
-            cov = bank.covariance()
-            for apart in self.apart.values():
-                if apart.lasts:
-                    cov[E.P, E.P] += apart.added
-            return cov
-        cov = covariance(bank, self.config.initialise)
-        for apart in self.apart.values():
-            cov[E.P, E.P] += np.outer(apart.off, apart.off)
+            return self.without_sensor.mixed(cov, bank.lead.x)
         return cov
 
     @property
@@ -144,7 +137,7 @@ class Tracker(Alignment):
         beside = self.without_sensor if self.is_aligned else None
         return [
             *filter(None, (self._conflict(), remarks.heading(beside.topic) if beside is not None else "")),
-            *(remarks.apart(self.apart) if self.is_aligned and not self._conflict() else ()),
+            *(remarks.apart(self.conflicts.apart) if self.is_aligned and not self._conflict() else ()),
             *remarks.units(self.path_scale, self.absolute),
             *remarks.drifts(self.sources),
             *remarks.delays(self.delays, self.hypotheses),
@@ -329,11 +322,12 @@ class Tracker(Alignment):
             self._note_variance(aid, verdict.seen)
         if verdict.fused and aid.absolute and alone and not aid.geodetic:  # two sources that disagree are no motion
             self._note_biases(aid, verdict.seen)
-        if (verdict.fused or (alone and trusted)) and (aid.absolute or aid.receiver):
+        if trusted and (aid.absolute or aid.receiver):
             self.delays = delay.noted(aid, verdict.seen, verdict.gate, self.delays, self.hypotheses.members)
             if self.delays[aid.witness].is_state:
                 self.stretch = None  # a run would leave the delay out
-        self._note_receiver(aid, z)
+        is_rejected = aid.topic in self.hypotheses.members[0].rejected
+        self.conflicts = self.conflicts.judged(aid, z, self.hypotheses.lead.x[X.P], is_rejected=is_rejected)
         self.hypotheses.drop(lambda member: bool(self.violation(member.filter)))
         if trusted:
             self._note_contradiction(aid, z, foreseen=verdict.foreseen)
@@ -355,19 +349,8 @@ class Tracker(Alignment):
             state = state.held(aid.rules, aid.t_ns)
         ratio = verdict.seen.distance2 / verdict.gate
         detail = aid.detail if reason is not Reason.GATED else "; ".join(filter(None, (aid.detail, self._conflict())))
-        place = position_innovation(z, verdict.seen.nu, verdict.seen.s) if aid.absolute else None
-        return Decision(reason, tuple(verdict.seen.nu.tolist()), tuple(sigma.tolist()), ratio, detail, place), state
-
-    def _note_receiver(self, aid: Aid, z: Measurement) -> None:
-        """Whether a receiver stands elsewhere than the estimate, which rejects its positions or its velocities."""
-        assert self.hypotheses is not None
-        is_rejected = aid.topic in self.hypotheses.members[0].rejected
-        if aid.receiver and is_rejected:
-            self.contrary_ns = self.contrary_ns | {aid.receiver: aid.t_ns}
-        elif aid.absolute:
-            is_receiver = aid.log_misled is not None
-            is_contrary = is_rejected or aid.t_ns - self.contrary_ns.get(aid.topic, NEVER) < conflict.LASTS_NS
-            self._note_apart(aid, z, disagrees=is_receiver and is_contrary, lingers=is_receiver)
+        position = position_innovation(z, verdict.seen.nu, verdict.seen.s) if aid.absolute else None
+        return Decision(reason, tuple(verdict.seen.nu.tolist()), tuple(sigma.tolist()), ratio, detail, position), state
 
     def _is_stuck(self, aid: Aid, samples: ImuBuffer) -> bool:
         """The sensor has read the same for too long for a vehicle in motion."""

@@ -51,19 +51,14 @@ class VarianceFactor(NamedTuple):
     recent: tuple[tuple[str, Recent], ...] = ()
     usual: int = 0
 
-    @property
-    def is_known(self) -> bool:
-        """There are readings enough of some topic."""
-        return any(len(r.ratios) >= _FEWEST for _, r in self.recent)
-
     def also(self, topic: str, t_ns: int, distance2: float, dof: int, largest: float | None = None) -> "VarianceFactor":
         """With one more innovation, of squared Mahalanobis distance distance2 with f = 1, unless r is larger than `largest`.
 
-        None: than noise, where the innovations have been usual for a while, or where another source is heard.
+        None: than noise, once the innovations have been usual for a while.
         """
         by_topic = {name: r for name, r in self.recent if name == topic or (t_ns - r.t_ns) * 1e-9 < _SILENT_S}
         if largest is None:
-            largest = LARGEST if self.usual >= _ENOUGH or set(by_topic) - {topic} else LARGEST_AT_FIRST
+            largest = LARGEST if self.usual >= _ENOUGH else LARGEST_AT_FIRST
         ratio, usual = distance2 / gate(0.5, dof), gate(_USUAL, dof) / gate(0.5, dof)
         ratios = by_topic[topic].ratios if topic in by_topic else ()
         by_topic[topic] = Recent(t_ns, (*ratios[1 - _WINDOW :], ratio) if ratio <= largest else ratios, usual)

@@ -200,8 +200,13 @@ def _prior(disparity_sigma_px: float, plane: Plane | None) -> Array:
 
 
 def _errors(N: Array, disparity_sigma_px: float, plane: Plane | None) -> tuple[Array, Array]:
-    """Covariance (6, 6) of what is new in each step, and what repeats (6, 2)."""
-    P = np.linalg.inv(N)
+    """Covariance (6, 6) of what is new in each step, symmetric to the bit, and what repeats (6, 2).
+
+    N is inverted in units of its diagonal, D N D with D = diag(N)^-1/2: metres, radians and pixels differ by orders of magnitude.
+    """
+    units = np.diag(N) ** -0.5
+    P = units[:, np.newaxis] * np.linalg.inv(N * np.outer(units, units)) * units
+    P = 0.5 * (P + P.T)
     systematic = np.zeros((6, 2))
     systematic[:, 0] = P[:6, 6] / disparity_sigma_px  # delta is that of u_r: positive makes disparities smaller
     if plane is not None:

@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.filter import conflict, contradiction
+from estimator.filter import contradiction
 from estimator.filter.alignment import heading, initialise
 from estimator.filter.alignment.config import TrackerConfig
 from estimator.filter.alignment.heading import Resting, WithoutSensor
 from estimator.filter.alignment.initialise import Level
-from estimator.filter.conflict import Apart
+from estimator.filter.conflict import Conflicts
 from estimator.filter.contradiction import NO_CONTRADICTION
 from estimator.filter.eskf import Innovation
 from estimator.filter.hypotheses import Hypotheses
@@ -95,7 +95,7 @@ class Alignment:
         self.given_up = 0  # how often a filter was
         self.variance_factor = NO_EXCESS
         self.direction: tuple[float, ...] = ()  # of the newest innovation of an absolute source during the alignment
-        self.apart: dict[str, Apart] = {}  # absolute sources that persist in disagreeing with the estimate, by topic
+        self.conflicts = Conflicts()
         self.absolute: frozenset[str] = frozenset()  # topics that have given positions
         self.plausibility = Plausibility(Phase.STARTING, _NO_START)
         self.last_absolute_ns = NEVER
@@ -197,7 +197,7 @@ class Alignment:
                 self._note_variance(aid, seen, LARGEST if persists else LARGEST_AT_FIRST)
             disagrees = seen.distance2 * self.variance_factor.value > limit
             if persists or not disagrees:
-                self._note_apart(aid, z, disagrees=disagrees)
+                self.conflicts = self.conflicts.compared(aid, z, self.hypotheses.lead.x[X.P], disagrees=disagrees)
         self._note_contradiction(aid, z, foreseen=foreseen)
         if self.hypotheses is None:
             return
@@ -205,8 +205,6 @@ class Alignment:
         if self.stretch is not None:
             self.stretch = self.stretch.also(aid, z, gyro_b, follows=follows)
         known = self._is_proven() and self._is_known()
-        if self.stretch is not None and self.stretch.has_followed:
-            known = known and self.variance_factor.is_known
         if known:
             del self.hypotheses.members[1:]
         if self.stretch is None or self.stretch.is_long(self.t_ns):  # the heading took too long to show
@@ -243,22 +241,7 @@ class Alignment:
     def _begin_again(self) -> None:
         """What there is rests on readings that are wrong."""
         self.hypotheses, self.stretch, self.still, self.is_aligned, self.without_sensor = None, None, None, False, None
-        self.contradiction, self.apart = NO_CONTRADICTION, {}
-
-    def _note_apart(self, aid: Aid, z: Measurement, *, disagrees: bool, lingers: bool = False) -> None:
-        """A source stands elsewhere than the estimate, or no longer; the covariance that is published allows for it.
-
-        lingers: until it is near.
-        """
-        assert self.hypotheses is not None
-        before = self.apart.get(aid.topic)
-        if (disagrees or (lingers and before)) and isinstance(z, Position | Pose) and len(z.z_n) == len(z.rows[:_XYZ]):
-            now = conflict.apart(before, aid, z, self.hypotheses.lead.x[X.P])
-            if disagrees or not now.is_near:
-                self.apart = {**self.apart, aid.topic: now}
-                return
-        if before:
-            self.apart = {topic: apart for topic, apart in self.apart.items() if topic != aid.topic}
+        self.contradiction, self.conflicts = NO_CONTRADICTION, Conflicts()
 
     def _note_variance(self, aid: Aid, seen: Innovation, largest: float | None = None) -> None:
         """One more innovation of an absolute source, of the leading filter."""

@@ -7,11 +7,15 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from estimator.filter.conflict import Apart
-from models.messages import GnssFix, PoseFix
+from estimator.filter.conflict import Apart, Conflicts
+from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
+from estimator.sources.source import Aid
+from models.frames import Origin
+from models.measurements import Measurement
+from models.messages import GnssFix, GnssVelocity, PoseFix
 from models.sim.scenario import EPOCH_NS
 from models.state import E
-from tests.estimator.scenes import SECOND, fly, position_errors, simulated
+from tests.estimator.scenes import SECOND, aid_of, fly, pose_fix, position_errors, simulated
 
 FLIGHT = """
 duration_s = 100.0
@@ -49,6 +53,71 @@ def test_an_outlier_is_over_before_it_lasts(for_s: float, lasts: bool) -> None:
 @pytest.mark.parametrize(("off", "near"), [((0.5, 0.0, 0.0), True), ((0.0, 0.0, 2.0), True), ((2.0, 0.0, 0.0), False)])
 def test_it_is_near_again_by_the_sigma_of_each_axis(off: tuple[float, float, float], near: bool) -> None:
     assert _apart(off).is_near == near
+
+
+ORIGIN, HERE = Origin(47.0, 8.0, 500.0), np.zeros(3)
+
+
+def _gnss(t_s: float, north_m: float) -> tuple[Aid, Measurement]:
+    """A position that far north of the estimate, which is at HERE."""
+    t_ns = EPOCH_NS + round(t_s * 1e9)
+    aid = position_aid(GnssFix(t_ns, t_ns, *ORIGIN.to_geodetic(np.array((north_m, 0.0, 0.0))), np.eye(3)), GnssConfig())
+    assert isinstance(aid, Aid)
+    z = aid.measurement(ORIGIN)
+    assert z is not None
+    assert not isinstance(z, tuple)
+    return aid, z
+
+
+def _rejected(until_s: float, north_m: float = 5.0) -> Conflicts:
+    found = Conflicts()
+    for k in range(int(5 * until_s) + 1):
+        found = found.judged(*_gnss(0.2 * k, north_m), HERE, is_rejected=True)
+    return found
+
+
+def test_it_counts_once_it_lasts_and_before_a_decision_at_once_and_wholly() -> None:
+    assert not _rejected(0.8).added(is_decided=True).any()
+    lasting = _rejected(1.0)
+    np.testing.assert_allclose(lasting.added(is_decided=True), lasting.apart["/gnss"].added)
+    assert lasting.added(is_decided=True)[0, 0] > 1.0
+    np.testing.assert_allclose(_rejected(0.2).added(is_decided=False)[0, 0], 25.0, rtol=1e-3)
+
+
+@pytest.mark.parametrize(("north_m", "goes_on"), [(4.0, True), (0.5, False)])
+def test_it_goes_on_until_a_position_is_near_also_where_the_position_is_accepted(north_m: float, goes_on: bool) -> None:
+    after = _rejected(1.0).judged(*_gnss(2.0, north_m), HERE, is_rejected=False)
+    assert ("/gnss" in after.apart) == goes_on
+
+
+@pytest.mark.parametrize(("ago_s", "counts"), [(0.5, True), (1.5, False)])
+def test_a_receiver_whose_velocity_was_just_rejected_is_in_conflict(ago_s: float, counts: bool) -> None:
+    velocity = velocity_aid(GnssVelocity(EPOCH_NS, EPOCH_NS, (5.0, 0.0, 0.0), np.eye(3)), GnssConfig())
+    assert isinstance(velocity, Aid)
+    z = velocity.measurement(ORIGIN)
+    assert z is not None
+    assert not isinstance(z, tuple)
+    found = Conflicts().judged(velocity, z, HERE, is_rejected=True)
+    found = found.judged(*_gnss(ago_s, 5.0), HERE, is_rejected=False)
+    assert ("/gnss" in found.apart) == counts
+
+
+def test_a_pose_fix_that_is_rejected_is_no_receiver_and_none_of_the_alignment_stays() -> None:
+    aid = aid_of(pose_fix(EPOCH_NS, (5.0, 0.0, 0.0)))
+    z = aid.measurement(None)
+    assert z is not None
+    assert not isinstance(z, tuple)
+    assert not Conflicts().judged(aid, z, HERE, is_rejected=True).apart
+    aligning = Conflicts().compared(aid, z, HERE, disagrees=True)
+    assert "/pose_fix" in aligning.apart
+    assert not aligning.judged(aid, z, HERE, is_rejected=False).apart
+
+
+def test_heights_of_another_datum_do_not_keep_the_alignment_from_its_end() -> None:
+    flight = simulated(FLIGHT, seed=3)
+    shifted = [replace(m, p_n=(*m.p_n[:2], m.p_n[2] + 50.0)) if isinstance(m, PoseFix) else m for m in flight.messages]
+    run = fly(flight, messages=shifted)
+    assert run.aligned[0].t_ns < EPOCH_NS + 3 * SECOND
 
 
 @pytest.mark.parametrize("off_m", [5.0, 20.0])

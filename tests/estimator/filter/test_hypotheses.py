@@ -337,6 +337,20 @@ def test_a_hypothesis_without_the_fix_does_not_gain_by_what_a_hopeless_one_predi
     assert hopeless.weight > -16.0
 
 
+def test_a_sceptic_gains_nothing_on_the_leading_one_by_a_fix_that_both_reject() -> None:
+    """A third hypothesis predicts the fix well: to the sceptic that is the false source again, but that does not part the two."""
+    lead, sceptic = _member(_state(0.0, 0.0, 0.0)), _member(_state(40.0, 0.0, 0.0), weight=-6.0)
+    believer = _member(_state(3.0, 0.0, 0.0), sigma=0.01, weight=-8.0)
+    sceptic.doubts["/pose_fix"] = Doubt(EPOCH_NS - SECOND // 2, deliberate=True)
+    bank = Hypotheses([lead, sceptic, believer])
+    aid = aid_of(pose_fix(EPOCH_NS, (3.0, 0.0, 0.0)))
+    z = aid.measurement(None)
+    assert z is not None
+    assert not bank.judge(aid, z, np.zeros(3), trusted=True).fused
+    assert sceptic.weight - lead.weight == pytest.approx(-6.0)
+    assert believer.weight - lead.weight > -8.0
+
+
 def test_a_hypothesis_that_rejects_a_reading_it_predicts_does_not_predict_the_next_one() -> None:
     """The leading filter and another doubt a velocity that a third one foresees; that the second foresees it too is no news."""
     lead, doubter, believer = (_member(_state(0.0, 0.0, 0.0), weight=w) for w in (0.0, -6.0, -14.0))

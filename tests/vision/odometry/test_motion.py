@@ -111,3 +111,13 @@ def test_a_guide_finds_the_nearer_of_two_motions() -> None:
     solution = solve(GEOMETRY, np.vstack((a0, b0)), np.vstack((a1, b1)), 0.25, 0.1, start, None, guide=guide)
     assert (solution.distances[:25] < 16.0).all()
     assert (solution.distances[25:] > 16.0).all()
+
+
+@pytest.mark.parametrize("far_m", [30.0, 3000.0])
+def test_the_covariance_is_symmetric_and_positive_however_badly_the_points_show_the_motion(far_m: float) -> None:
+    """Points far off hardly show the translation: metres and radians of the information differ by many orders of magnitude."""
+    rng = np.random.default_rng(5)
+    y0, y1 = measured(points(rng, 12, 0.9 * far_m, far_m), Motion(*truth()), 0.0, rng)
+    covariance = solve(GEOMETRY, y0, y1, 0.25, 1e-3, START, None).covariance
+    np.testing.assert_array_equal(covariance, covariance.T)
+    assert np.linalg.eigvalsh(covariance)[0] > 0.0
