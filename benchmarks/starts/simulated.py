@@ -1,16 +1,11 @@
-"""When the estimate begins, and how good it is from then on: recorded flights and logs (starts_recorded.py), and simulated
-vehicles whose acceleration shows no heading: a boat, a hover, straight flight, twenty minutes of rest.
+"""Simulated vehicles whose acceleration shows no heading: a boat, a hover, straight flight, twenty minutes of rest.
 
-With GNSS alone, with its course, with a magnetometer, with two antennas.
+With GNSS alone, with its course, with a magnetometer, with two antennas. The IMU is that of a flight controller, GNSS has 5 Hz.
 
     begins, heading: s from the first position to the first estimate, and to the first with a heading
     NEES: e' P^-1 e / k of the seconds since, in expectation 1; yaw: e^2 / sigma^2
-
-python -m benchmarks.flights.starts [--only simulated recorded] [--jobs 2]: simulated with the IMU of a flight controller and
-GNSS of 5 Hz.
 """
 
-import argparse
 import math
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
@@ -20,7 +15,6 @@ from typing import Final, NamedTuple
 import msgspec
 import numpy as np
 
-from benchmarks.flights import starts_recorded
 from benchmarks.tables import Table, number
 from estimator.filter.alignment import InitialiseConfig
 from estimator.fusion import Fusion, FusionConfig
@@ -128,7 +122,7 @@ def _errors(e: Estimate, journey: Ride) -> tuple[float, float, float, float]:
     return float(off[0] ** 2 + off[1] ** 2), nees[0], nees[1], yaw
 
 
-def simulated(pool: ProcessPoolExecutor) -> Table:
+def table(pool: ProcessPoolExecutor) -> Table:
     """A row for each scene and sense: the latest begin of the seeds, means of the rest."""
     jobs = list(product(SCENES, SENSES, SEEDS))
     found: dict[tuple[str, str, int], _Start] = {}
@@ -143,31 +137,3 @@ def simulated(pool: ProcessPoolExecutor) -> Table:
         rows.append((scene, sense, *map(number, [*worst, *means])))
     columns = ("scene", "with", "begins [s]", "heading [s]", "error [m]", "position NEES/3", "attitude NEES/3", "yaw NEES")
     return Table("Starts without a heading", columns, rows)
-
-
-def recorded(pool: ProcessPoolExecutor) -> Table:
-    """A row for each log and configuration."""
-    jobs, rows = starts_recorded.jobs(), []
-    for job, result in zip(jobs, pool.map(starts_recorded.start, jobs), strict=True):
-        rows.append((*job, *map(number, result)))
-        print(*rows[-1], sep="  ", flush=True)
-    columns = ("log", "with", "begins [s]", "heading [s]", "error [m]", "position NEES/3", "attitude NEES/3")
-    return Table("Starts of recorded flights and logs", columns, rows)
-
-
-TABLES: Final = {"simulated": simulated, "recorded": recorded}
-
-
-def main() -> None:
-    """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", nargs="+", choices=TABLES, default=list(TABLES), help="which table; default: both")
-    parser.add_argument("--jobs", type=int, default=2, help="processes")
-    given = parser.parse_args()
-    with ProcessPoolExecutor(given.jobs) as pool:
-        found = [TABLES[name](pool) for name in given.only]
-    print(*(table.markdown() for table in found), sep="\n")
-
-
-if __name__ == "__main__":
-    main()
