@@ -90,7 +90,7 @@ def test_given_a_rest_of_minutes_then_tilt_and_bias_are_not_told_apart_before_th
     tilt = [np.sqrt(np.sort(e.covariance.diagonal()[E.THETA])[:2]) for e in within(run.estimates, 60.0, rest_s)]
     assert np.degrees(np.min(tilt)) > 0.8
     moved = within(run.aligned, rest_s + 4.0, rest_s + 6.0)
-    assert len(moved) > 10
+    assert len(moved) >= 5
     for part in (E.V, E.THETA):  # velocity 23, attitude 44 where they are told apart
         assert _nees(moved, long.truth, part) < 4.0
 

@@ -146,14 +146,14 @@ class WithoutSensor:
 
 
 def level_again(lead: Eskf, at: Level, config: InitialiseConfig) -> None:
-    """Of a vehicle at rest only the sum of tilt and accelerometer bias shows: both are known again as at the start, in place.
+    """Of a vehicle at rest only the sum of tilt and accelerometer bias shows: in place, either is as unknown as at the start.
 
         P <- M P M^T + N,   M_theta = M_ba = d d^T,   N = blockdiag(.., sigma_tilt^2 (I - d d^T), .., sigma_ba^2 (I - d d^T))
 
-    d: down in the body. A linear filter tells them apart as its heading is corrected, which is no knowledge.
+    d: down in the body. Tilt is levelled, the bias across d is 0. A linear filter tells them apart as its heading is corrected,
+    which is no knowledge.
     """
-    yaw = so3.to_euler(lead.x[X.Q])[2]
-    lead.x[X.Q] = so3.from_euler(at.roll, at.pitch, yaw)
+    lead.x[X.Q] = so3.from_euler(at.roll, at.pitch, so3.to_euler(lead.x[X.Q])[2])
     down_b = so3.matrix(lead.x[X.Q])[2]
     along = np.outer(down_b, down_b)
     across = np.eye(3) - along
