@@ -14,6 +14,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from copy import deepcopy
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -92,6 +93,10 @@ def _true(simulation: Simulation, made_of: Scenario, wind_m_s: float, begin_ns: 
     return _Truth(x, {WIND: wind_n, "/airspeed.scale": scale})
 
 
+def _always(z: Given, _: object) -> Given:
+    return z
+
+
 def _aids(true: _Truth, parts: Sequence[str], t_ns: int) -> Iterator[Aid]:
     """What gives the filter the true values."""
     for part in parts:
@@ -109,7 +114,7 @@ def _aids(true: _Truth, parts: Sequence[str], t_ns: int) -> Iterator[Aid]:
                 rules=_RULES,
                 absolute=False,
                 log_false=-1e3,
-                measurement=lambda _, z=z: z,
+                measurement=partial(_always, z),
                 slow_errors=slow,
                 weighs=False,
             )

@@ -36,14 +36,15 @@ class SlowErrors:
 
     def joined(self, blocks: Sequence[str], other: "SlowErrors") -> "SlowErrors":
         """With these blocks of another behind its own, means included."""
-        columns, every = self.columns, (self.tau_s, self.psd, self.mean, self.estimated)
+        columns, size, rows = self.columns, len(self.tau_s), list[int]()
         for block in blocks:
-            start, at = E.SIZE + len(every[0]), other.columns[block]
-            own = slice(at.start - E.SIZE, at.stop - E.SIZE)
+            at = other.columns[block]
+            start = E.SIZE + size + len(rows)
             columns = columns | {block: slice(start, start + at.stop - at.start)}
-            theirs = (other.tau_s, other.psd, other.mean, other.estimated)
-            every = tuple(np.concatenate((mine, a[own])) for mine, a in zip(every, theirs, strict=True))
-        return SlowErrors(columns, *every)
+            rows += range(at.start - E.SIZE, at.stop - E.SIZE)
+        mine = (self.tau_s, self.psd, self.mean, self.estimated)
+        theirs = (other.tau_s, other.psd, other.mean, other.estimated)
+        return SlowErrors(columns, *(np.concatenate((a, b[rows])) for a, b in zip(mine, theirs, strict=True)))
 
     def without(self, block: str) -> "SlowErrors":
         """With one block less."""
