@@ -9,8 +9,8 @@ measurement, and d_k = x_true,k (-) x_k,
 is linear: a Kalman filter and, backward, a smoother give E[d_k | all nu], the trajectory moves by it, and so on until its end
 stays: Gauss-Newton on the whole stretch (Bell 1994). The prior is that of the first time, so nothing is counted twice.
 
-What is not in the stretch (air data, a barometer) has made estimates s beside the state: the wind, a scale, a zero. Of these a
-run keeps what they are given the state, and puts the new state in. With the old x and P, the new x^ and P^,
+Air data are not in the stretch. Of what they have estimated beside the state, s (wind, scale, tilt), a run keeps what it is given
+the state, and puts the new state in. With the old x and P, the new x^ and P^,
 
     s^ = s + C (x^ (-) x),   P^_sx = C P^_xx,   P^_ss = P_ss - C P_xs + C P^_xx C^T,   C = P_sx P_xx^-1
 """
@@ -25,6 +25,7 @@ from estimator.filter.eskf import Eskf, inject
 from estimator.filter.hypotheses import innovation
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.slow_errors import NO_SLOW_ERRORS, SlowErrors
+from estimator.sources.air.wind import OF_AIR, WIND
 from estimator.sources.gating import gate
 from estimator.sources.source import Aid
 from models import cholesky, imu, so3
@@ -137,11 +138,14 @@ def relinearise(stretch: Stretch, found: Eskf, samples: ImuBuffer) -> tuple[Eskf
 
 
 def with_estimated(end: Eskf, found: Eskf, stretch: Stretch) -> Eskf:
-    """The result of a run, with the blocks of `found` that no measurement of the stretch carries; kept poses are left out."""
-    carried_by = {slow.block for taken in stretch.taken for slow in taken.aid.slow_errors}
-    blocks = [b for b in found.slow.columns if b not in carried_by and b not in found.clones]
-    if not blocks:
+    """The result of a run, with the blocks of air sensors in `found` that no measurement of the stretch carries.
+
+    A zero (of a barometer) is found again: kept, it would follow whatever the run makes of the height.
+    """
+    if WIND not in found.slow.columns:
         return end
+    carried_by = {slow.block for taken in stretch.taken for slow in taken.aid.slow_errors}
+    blocks = [b for b in found.slow.columns if b.endswith(OF_AIR) and b not in carried_by]
     for block in (b for b in blocks if b in end.slow.columns):
         end.forget(block)
     x, kept = slice(0, E.SIZE), np.concatenate([np.r_[found.slow.columns[b]] for b in blocks])

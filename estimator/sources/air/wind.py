@@ -19,6 +19,7 @@ from models.messages import Array
 from models.state import X
 
 WIND, GUST = "wind", "gust"
+OF_AIR = (WIND, GUST, ".scale", ".tilt", ".sideslip")  # how the blocks of air sensors end
 STAYS = 1e-10  # variance per second of what is estimated and does not change
 
 
