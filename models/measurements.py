@@ -170,7 +170,9 @@ class Heading(Conditional):
     """alpha = atan2(d_e, d_n), d_n = R_nb d_b: the azimuth of a direction of the body is known; rad, noise (1, 1).
 
     direction_b: (3,), of any length: the magnetic field as it was measured, or the line from one antenna to another; elevation:
-    the angle at which it points above the horizon, +- elevation_within [rad], None: not known.
+    the angle at which it points above the horizon, +- elevation_within [rad], None: not known; is_steep: only a turn about the
+    vertical counts. A tilt moves the azimuth of a steep direction, too, but used, that would let a constant error of the reading
+    tilt a vehicle at rest.
     """
 
     direction_b: Array
@@ -178,6 +180,7 @@ class Heading(Conditional):
     noise: Array
     elevation: float | None = None
     elevation_within: float = math.pi
+    is_steep: bool = False
 
     @property
     def rows(self) -> NDArray[np.intp]:
@@ -189,6 +192,9 @@ class Heading(Conditional):
         nu, by_direction = self._off(x)
         h = np.zeros((1, _N))
         h[0, E.THETA] = by_direction @ -so3.skew(self.direction_b)
+        if self.is_steep:
+            down_b = so3.matrix(x[X.Q])[2]
+            h[0, E.THETA] = (h[0, E.THETA] @ down_b) * down_b
         return nu, h
 
     def by_direction(self, x: Array) -> Array:

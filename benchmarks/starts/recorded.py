@@ -33,13 +33,15 @@ _SECOND_NS: Final = 1_000_000_000
 _NEAR_NS: Final = 60_000_000  # of an attitude of the reference
 _HOLE_NS: Final = 600_000_000  # between two positions of it
 _NEVER_S: Final = 1e6
-_LONGEST_NS: Final = 180_000_000_000  # from the first position on
+_LONGEST_S: Final = 180.0  # from the first position on
+_GLITCH: Final = "f450_glitch, copter"
+_UNTIL_S: Final = {_GLITCH: 110.0}  # then its receiver fails
 
 _THOR: Final = "umn_thor75, plane"
 LOGS: Final = {
     "log171, copter": ("dataflash", "native_logs/ardupilot_log171.bin"),
     "quad106, copter": ("csv", "flights/inertialnav_logs/quad106"),
-    "f450_glitch, copter": ("csv", "flights/inertialnav_logs/f450_glitch"),
+    _GLITCH: ("csv", "flights/inertialnav_logs/f450_glitch"),
     "flight_a, copter": ("csv", "flights/quad_rtk_dot/flight_a"),
     _THOR: ("csv", "flights/umn_thor75"),
     "drive_0708, car": ("csv", "flights/rtk_drive_walk/drive_0708"),
@@ -115,15 +117,15 @@ def start(job: tuple[str, str]) -> Recorded:
     if name in _BY_RECEIVER:
         late_ns = round(config.gnss.delay_s * 1e9)
         truth = [msgspec.structs.replace(m, t_ns=m.t_ns - late_ns) for m in truth]
-    return _judged(messages, config, truth)
+    return _judged(messages, config, truth, _UNTIL_S.get(name, _LONGEST_S))
 
 
-def _judged(messages: list[Input], config: Config, truth: list[Truth]) -> Recorded:
+def _judged(messages: list[Input], config: Config, truth: list[Truth], until_s: float) -> Recorded:
     fusion, seconds = Fusion(config.fusion()), list[Estimate]()
     begins_s = heading_s = math.nan
     first_ns = next((m.t_ns for m in messages if isinstance(m, GnssFix) and m.status >= 0), None)
     for message in messages:
-        if first_ns is None or message.arrived_ns > first_ns + _LONGEST_NS:
+        if first_ns is None or message.arrived_ns > first_ns + round(until_s * 1e9):
             break
         for out in fusion.handle(message):
             if not isinstance(out, Estimate):

@@ -7,6 +7,7 @@ e_0. Both are considered, so that a thousand readings weigh no more than their c
 
     e = e_0 - (d azimuth / d m_b) h_b
 
+A tilt error t turns the azimuth by t tan(inclination), in level flight less than e_0; it is part of e_0 (Heading.is_steep).
 A reading whose strength or inclination is not the Earth's is refused.
 """
 
@@ -120,11 +121,11 @@ class MagnetometerConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
         """The field in the body's axes against the one that is expected; None: neither origin nor declination is known."""
         noise, given = np.array([[math.radians(self.sigma_deg) ** 2]]), self.declination_deg
         if origin is None:
-            return None if given is None else Heading(m_b, math.radians(given), noise)
+            return None if given is None else Heading(m_b, math.radians(given), noise, is_steep=True)
         north, east, down = field_n(origin, year)
         azimuth = math.atan2(east, north) if given is None else math.radians(given)
         elevation = -math.atan2(down, math.hypot(north, east))
-        return Heading(m_b, azimuth, noise, elevation, math.radians(self.inclination_within_deg))
+        return Heading(m_b, azimuth, noise, elevation, math.radians(self.inclination_within_deg), is_steep=True)
 
 
 @cache

@@ -1,6 +1,7 @@
 """Every measurement model's Jacobian is its derivative on the manifold, and its innovation has the sign and axes it says."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -280,3 +281,13 @@ def test_mahalanobis_distance_and_determinant(m: int) -> None:
 )
 def test_a_matrix_that_is_no_covariance_has_an_infinite_distance(s: NDArray[np.float64]) -> None:
     assert mahalanobis(np.ones(2), s) == (math.inf, math.inf)
+
+
+def test_a_steep_heading_is_moved_by_a_turn_about_the_vertical_and_by_no_tilt() -> None:
+    x = np.random.default_rng(1).normal(size=X.SIZE)
+    x[X.Q] = so3.from_euler(0.2, -0.3, 1.0)
+    steep = replace(_heading(x, np.array([0.7, -0.4, 1.9])), is_steep=True)
+    down_b = so3.matrix(x[X.Q])[2]
+    _, h = steep.evaluate(x, GYRO)
+    assert h[0, E.THETA] @ down_b == pytest.approx(1.0)  # the azimuth turns with the vehicle
+    np.testing.assert_allclose(np.cross(h[0, E.THETA], down_b), 0.0, atol=1e-12)

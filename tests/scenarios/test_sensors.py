@@ -82,6 +82,19 @@ def test_given_a_long_rest_then_the_noise_of_gnss_refutes_no_magnetometer() -> N
     assert _nees(within(run.aligned, rest_s + 2.0, rest_s + 5.0), long.truth, E.THETA) < 2.0
 
 
+def test_given_a_rest_of_minutes_then_tilt_and_bias_are_not_told_apart_before_the_vehicle_moves() -> None:
+    """They show together alone. A filter that learns one of them as its heading wanders is overconfident when it moves."""
+    rest_s = 150.0
+    long = ride(rest_s, 6.0, seed=3, yaw=0.0)
+    run = Run(Fusion(CONFIG)).feed(by_arrival([*long.messages, *magnetometer(long.truth, seed=3)]))
+    tilt = [np.sqrt(np.sort(e.covariance.diagonal()[E.THETA])[:2]) for e in within(run.estimates, 60.0, rest_s)]
+    assert np.degrees(np.min(tilt)) > 0.8
+    moved = within(run.aligned, rest_s + 4.0, rest_s + 6.0)
+    assert len(moved) >= 5
+    for part in (E.V, E.THETA):  # velocity 23, attitude 44 where they are told apart
+        assert _nees(moved, long.truth, part) < 4.0
+
+
 TURNED = {f"turned by {deg} deg": so3.matrix(so3.from_euler(0.0, 0.0, math.radians(deg))) for deg in (90.0, 180.0)}
 
 

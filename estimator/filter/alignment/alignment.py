@@ -369,6 +369,10 @@ class Alignment:
         at = initialise.level(self.t_ns, stretch, self.config.initialise)
         if at.still and beside.since is not None:
             beside.bank, beside.stretch = self._all_headings(z, at)
+            if self.hypotheses is not None:
+                for member in self.hypotheses.members:
+                    heading.level_again(member.filter, at, self.config.initialise)
+                self.stretch = Stretch.of(self.hypotheses.lead)
         beside.since = z if at.still else None
 
     def _all_headings(self, z: Position | Pose, at: Level) -> tuple[Hypotheses, Stretch]:

@@ -145,6 +145,25 @@ class WithoutSensor:
         return (1.0 - share) * cov + share * (self.bank.covariance() + np.outer(off, off))
 
 
+def level_again(lead: Eskf, at: Level, config: InitialiseConfig) -> None:
+    """Of a vehicle at rest only the sum of tilt and accelerometer bias shows: in place, either is as unknown as at the start.
+
+        P <- M P M^T + N,   M_theta = M_ba = d d^T,   N = blockdiag(.., sigma_tilt^2 (I - d d^T), .., sigma_ba^2 (I - d d^T))
+
+    d: down in the body. Tilt is levelled, the bias across d is 0. A linear filter tells them apart as its heading is corrected,
+    which is no knowledge.
+    """
+    lead.x[X.Q] = so3.from_euler(at.roll, at.pitch, so3.to_euler(lead.x[X.Q])[2])
+    down_b = so3.matrix(lead.x[X.Q])[2]
+    along = np.outer(down_b, down_b)
+    across = np.eye(3) - along
+    lead.x[X.BA] = along @ lead.x[X.BA]
+    for part, sigma in ((E.THETA, at.tilt_sigma), (E.BA, config.accel_bias_sigma)):
+        lead.cov[part] = along @ lead.cov[part]
+        lead.cov[:, part] = lead.cov[:, part] @ along
+        lead.cov[part, part] += sigma**2 * across
+
+
 def from_course(z: Velocity, at: Level, config: InitialiseConfig) -> Pose | None:
     """The attitude of a vehicle that moves along its nose, None where none shows.
 
