@@ -16,7 +16,7 @@ the best possible, and while fixes share a slow error its covariance may be too 
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import groupby
 
 import numpy as np
@@ -57,12 +57,16 @@ class Smoothed:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Node:
-    """One hypothesis at one instant, all aids of it fused: x (16,), cov (15, 15); link None: a segment begins."""
+    """One hypothesis at one instant, all aids of it fused: x (16,), cov (15, 15); link None: a segment begins.
+
+    late_cov: (15, 15) by a delay that the fixes may have; it is no part of what is smoothed.
+    """
 
     t_ns: int
     x: Array
     cov: Array
     link: "Link | None" = None
+    late_cov: Array = field(default_factory=lambda: np.zeros((E.SIZE, E.SIZE)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,6 +97,7 @@ def smooth(messages: Iterable[Input], config: FilterConfig, progress: Callable[[
     for segment in segments:
         end = begin + len(segment)
         nav[begin:end], covariance[begin:end] = backward(segment)
+        covariance[begin:end] += [node.late_cov for node in segment]
         begin = end
     t_ns = np.array([node.t_ns for node in nodes], np.int64)
     number = np.repeat(np.arange(len(segments)), [len(segment) for segment in segments])
@@ -167,7 +172,8 @@ def _step(
     if tracker.hypotheses is None or not tracker.is_aligned:
         return {}
     members = tracker.hypotheses.members
-    return {m: Node(t_ns, m.filter.x.copy(), m.filter.cov[: E.SIZE, : E.SIZE].copy(), links.get(m)) for m in members}
+    late = np.zeros((E.SIZE, E.SIZE)) if tracker.late_cov is None else tracker.late_cov
+    return {m: Node(t_ns, m.filter.x.copy(), m.filter.cov[: E.SIZE, : E.SIZE].copy(), links.get(m), late) for m in members}
 
 
 def _of_parents(

@@ -60,6 +60,7 @@ class Tracker(Alignment):
         self.anchor: GnssAnchor | None = None
         self.path_scale = PathScale()
         self.delays: Delays = {}
+        self.late_cov: Array | None = None  # (15, 15), by a delay that the newest fix may have
         self.bias_walk = BiasWalk()
 
     def copy(self) -> "Tracker":
@@ -93,6 +94,8 @@ class Tracker(Alignment):
         cov = bank.covariance() if self.is_aligned else covariance(bank, self.config.initialise)
         if self.conflicts.apart:
             cov[E.P, E.P] += self.conflicts.added(is_decided=self.is_aligned)
+        if self.late_cov is not None:
+            cov += self.late_cov
         if self.is_aligned and self.without_sensor is not None:
             return self.without_sensor.mixed(cov, bank.lead.x)
         return cov
@@ -243,7 +246,7 @@ class Tracker(Alignment):
             elif self.stretch is not None and decision.reason is Reason.FUSED:
                 longer = self.stretch.also(aid, z, gyro_b)
                 if longer is not self.stretch:  # a run ends at the newest measurement that is in it, which has to be this one
-                    self._settle(longer, samples)
+                    self._settle(longer, samples, aid.witness if alone else "")
         self.sources[aid.topic] = state
         return decision
 
@@ -322,8 +325,12 @@ class Tracker(Alignment):
             self._note_variance(aid, verdict.seen)
         if verdict.fused and aid.absolute and alone and not aid.geodetic:  # two sources that disagree are no motion
             self._note_biases(aid, verdict.seen)
-        if trusted and (aid.absolute or aid.receiver):
+        apart = self.conflicts.apart.get(aid.witness)
+        may_be_late = apart is None or delay.explains(apart.off, apart.s, self.hypotheses.lead.x)
+        if trusted and may_be_late and (aid.absolute or aid.receiver):
             self.delays = delay.noted(aid, verdict.seen, verdict.gate, self.delays, self.hypotheses.members)
+            if aid.absolute and (aid.delay_sigma_s or alone):
+                self.late_cov = self.delays[aid.witness].covariance(aid.delay_sigma_s, self.hypotheses.lead.x[X.V])
             if self.delays[aid.witness].is_state:
                 self.stretch = None  # a run would leave the delay out
         is_rejected = aid.topic in self.hypotheses.members[0].rejected
@@ -375,15 +382,18 @@ class Tracker(Alignment):
                 if slow.walk is not None:
                     self.hypotheses.forget(slow.block)
 
-    def _settle(self, stretch: Stretch, samples: ImuBuffer) -> None:
+    def _settle(self, stretch: Stretch, samples: ImuBuffer, alone: str) -> None:
         """Once aligned, run the stretch again where that is worth it, until the linear filter can go on alone.
 
-        Not in dead reckoning: without absolute positions nothing confirms where a run ends.
+        Not in dead reckoning: without absolute positions nothing confirms where a run ends. alone: the topic of the only source.
         """
         assert self.hypotheses is not None
+        lead = self.hypotheses.lead
         is_long, is_aided = stretch.is_long(self.t_ns), self.t_ns - self.last_absolute_ns <= self._aided_ns
-        if is_aided and (is_long or stretch.due(self.hypotheses.lead)):
+        if is_aided and (is_long or stretch.due(lead)):
             stretch = self._relinearise(stretch, samples)
+            if self.hypotheses.lead is not lead:
+                delay.begin_again(self.hypotheses.lead, alone, self._last_imu(samples))
         self.stretch = stretch
         if stretch.is_settled:
             self.stretch = None

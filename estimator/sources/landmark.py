@@ -49,18 +49,20 @@ def _partial_aid(fix: LandmarkFix, directions: Array, readings: Array, config: P
     p_n, q = pose
     z = PartialPose(p_n, q, directions, readings, noise)
     content = (p_n.tobytes(), q.tobytes(), covariance.tobytes(), directions.tobytes(), readings.tobytes())
+    t_ns = fix.t_ns - round(config.delay_s * 1e9)
     return Aid(
-        t_ns=fix.t_ns,
+        t_ns=t_ns,
         arrived_ns=fix.arrived_ns,
         topic=fix.topic,
         kind="pose",
-        order=order(fix.t_ns, "pose", fix.topic, *content),
+        order=order(t_ns, "pose", fix.topic, *content),
         rules=config,
         absolute=_fixes_place(directions),
         log_false=log_false(config, [FALSE_POSITION_M] * len(directions)),
         measurement=lambda _: z,
         slow_errors=tuple(_seen_along(directions, slow) for slow in slow_errors),
         detail=f"{len(directions)} of 6 directions",
+        delay_sigma_s=config.delay_sigma_s,
     )
 
 

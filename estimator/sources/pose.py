@@ -70,6 +70,8 @@ _Share: TypeAlias = Annotated[
 class PoseConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
     """[pose_fix]: how pose fixes from outside are judged."""
 
+    delay_s: Annotated[float, Meta(ge=-1, le=5, description="s: stamps are later than validity by this much")] = 0.0
+    delay_sigma_s: Annotated[float, Meta(ge=0, le=1, description="s: sigma of delay_s until the motion shows it")] = 0.02
     position_sigma_m: _PositionSigma = 0.5
     attitude_sigma_deg: _AttitudeSigma = 3.0
     noise_scale: Annotated[float, Meta(ge=1e-3, le=1000, description="factor on the standard deviations that fixes claim")] = 1.0
@@ -155,18 +157,20 @@ def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
         slow_errors = (*slow_errors, lasting(fix.topic, noise, config))
         noise = noise * (1.0 - config.lasting_share)
     z: Measurement = Pose(p_n, q, noise, given.rows, given.attitude)
+    t_ns = fix.t_ns - round(config.delay_s * 1e9)
     return Aid(
-        t_ns=fix.t_ns,
+        t_ns=t_ns,
         arrived_ns=fix.arrived_ns,
         topic=fix.topic,
         kind="pose",
-        order=order(fix.t_ns, "pose", fix.topic, p_n.tobytes(), q.tobytes(), covariance.tobytes()),
+        order=order(t_ns, "pose", fix.topic, p_n.tobytes(), q.tobytes(), covariance.tobytes()),
         rules=config,
         absolute=all(given.mask.tolist()[:_XYZ]),
         log_false=log_false(config, given.widths),
         measurement=lambda _: z,
         slow_errors=slow_errors,
         assumed=_NO_ACCURACY.format(config.position_sigma_m, config.attitude_sigma_deg) if is_assumed else "",
+        delay_sigma_s=config.delay_sigma_s,
     )
 
 

@@ -72,8 +72,8 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
     there is to say of it once it is judged; alignment_only: a prior, not fused in flight; assumed: what was taken in place of an
     accuracy that the message does not give; weighs: it is evidence for one hypothesis rather than another, which a reading is not
     whose considered errors are larger than the rest: the next one says the same; begin: of a measurement over some time, what
-    takes a place of its own in the order where that time begins; check(origin): why it is none at that place; uses_rate: the
-    angular rate takes part.
+    takes a place of its own in the order where that time begins; delay_sigma_s: of the time of validity, s; check(origin): why it
+    is none at that place; uses_rate: the angular rate takes part.
     """
 
     t_ns: int
@@ -96,6 +96,7 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
     uses_rate: bool = False
     check: "Callable[[Origin | None], Refusal | None] | None" = None
     begin: "Aid | None" = None
+    delay_sigma_s: float = 0.0
 
     @property
     def hypothetical(self) -> SourceRules:

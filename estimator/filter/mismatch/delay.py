@@ -11,7 +11,11 @@ summed (Rao 1948; the bias filter of Friedland 1969):
     J' = E[nu tau] / s0^2,   A = sum J'^T S^-1 J',   b = sum J'^T S^-1 nu,   b / sqrt(A) ~ N(0, 1) where tau = 0
 
 Where that is beyond its limit, tau becomes a state with the estimate b / A, and the rest of the state follows from P.
-A filter that has been aligned with this source alone knows x(t - tau): E[dx tau] / s0^2 = dx / dt then.
+A filter that has been aligned with this source alone, or linearised anew, knows x(t - tau): E[dx tau] / s0^2 = dx / dt then.
+
+Until tau is a state, the published covariance of the position counts on what the sums leave open, with the configured sigma s:
+
+    P <- P + E[tau^2] v v^T,   E[tau^2] = 1 / (A + s^-2) + (b / (A + s^-2))^2
 """
 
 import math
@@ -33,23 +37,38 @@ from models.state import E, X
 _ANEW_S = 60.0  # the sums begin anew
 _SIGMAS = 6.0
 _FEWEST = 3  # readings
-_LONGEST_S = 0.5  # a single reading beyond the gate shows no longer delay
+_LONGEST_S = 0.5  # no longer delay is found
 _KNOWN_S = 0.02  # sigma of tau that the sums must reach
 _SIGMA_S = 0.1  # of tau, to begin with, where it is a state
 _PROBE_S = 1e-4  # s0: less than the motion of any vehicle shows
 _WALK = np.array([2e-3**2])  # s^2 / s
 _G_N = np.array([0.0, 0.0, GRAVITY])
+_COUNTS_M2 = 1e-4
 _XYZ = 3
 
 
 class Delay(NamedTuple):
-    """The sums of one source since since_ns, and how many readings they are of; is_state: whether its delay is estimated."""
+    """The sums of one source since since_ns, and how many readings they are of; is_state: whether its delay is estimated.
+
+    before: information and score of the minute before.
+    """
 
     since_ns: int
     information: float = 0.0
     score: float = 0.0
     readings: int = 0
     is_state: bool = False
+    before: tuple[float, float] = (0.0, 0.0)
+
+    def covariance(self, sigma_s: float, v_n: Array) -> Array | None:
+        """E[tau^2] v v^T of the position, (15, 15), tau of sigma_s before any reading; None: less than counts."""
+        if self.is_state or not sigma_s:
+            return None
+        information, score = max((self.information, self.score), self.before)
+        information += sigma_s**-2
+        cov = np.zeros((E.SIZE, E.SIZE))
+        cov[E.P, E.P] = (1.0 / information + (score / information) ** 2) * np.outer(v_n, v_n)
+        return cov if cov.trace() > _COUNTS_M2 else None
 
     def also(self, t_ns: int, seen: Innovation, column: int, gate: float = math.inf) -> "Delay":
         """With one more innovation; column: where tau stands in P.
@@ -58,7 +77,8 @@ class Delay(NamedTuple):
         """
         if self.is_state:
             return self
-        sums = self if 0.0 <= (t_ns - self.since_ns) * 1e-9 < _ANEW_S else Delay(t_ns)
+        is_new = not 0.0 <= (t_ns - self.since_ns) * 1e-9 < _ANEW_S
+        sums = Delay(t_ns, before=(self.information, self.score)) if is_new else self
         j = seen.hp[:, column] / _PROBE_S**2
         weighed = np.linalg.solve(seen.s, j)
         information, score = float(weighed @ j), float(weighed @ seen.nu)
@@ -68,7 +88,7 @@ class Delay(NamedTuple):
             return sums
         information, score, readings = sums.information + information, sums.score + score, sums.readings + 1
         shown = readings >= _FEWEST and information * _KNOWN_S**2 > 1.0 and score**2 > _SIGMAS**2 * information
-        return Delay(sums.since_ns, information, score, readings, shown)
+        return Delay(sums.since_ns, information, score, readings, shown, sums.before)
 
 
 Delays: TypeAlias = dict[str, Delay]  # by topic of the source, or of its receiver's positions
@@ -92,6 +112,14 @@ def carried(aid: Aid, z: Measurement, u: Array | None, delays: Delays, members: 
     j = jacobian(z, members[0].filter.x, u)[:, None]
     error = SlowError(block(topic), np.array([[sigma**2]]), np.inf, j, walk, starts_at_zero=True)
     return replace(aid, slow_errors=(*aid.slow_errors, error))
+
+
+def explains(off: Array, s: Array, x: Array) -> bool:
+    """Whether a delay may be why a source is elsewhere than the estimate by off (3,) [m] of covariance s (3, 3).
+
+    |off| <= |v| tau_max + 3 sigma, sigma^2 = tr s. The readings of a receiver that is farther off are false, and show no delay.
+    """
+    return float(np.linalg.norm(off)) <= _LONGEST_S * float(np.linalg.norm(x[X.V])) + 3.0 * math.sqrt(float(s.trace()))
 
 
 def noted(aid: Aid, seen: Innovation, gate: float, delays: Delays, members: Sequence[Hypothesis]) -> Delays:
@@ -118,6 +146,13 @@ def remarks(delays: Delays, lead: Eskf) -> list[str]:
         side = "late" if late_ms >= 0.0 else "early"
         found.append(f"stamps of {topic} are {abs(late_ms):.0f} ms {side} (sigma {sigma_ms:.0f} ms), beyond the configured delay")
     return found
+
+
+def begin_again(eskf: Eskf, topic: str, u: Array | None) -> None:
+    """After a run, which leaves out the delay of what came before the alignment."""
+    if u is not None and block(topic) in eskf.slow.columns:
+        eskf.forget(block(topic))
+        begin(eskf, topic, u)
 
 
 def begin(eskf: Eskf, topic: str, u: Array) -> None:

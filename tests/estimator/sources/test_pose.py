@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from estimator.sources.landmark import landmark_aid
 from estimator.sources.pose import LandmarkFixConfig, PoseConfig, given_components, pose_aid
 from estimator.sources.source import Aid, Refusal, SlowError
 from models import so3
@@ -289,3 +290,24 @@ def test_an_attitude_that_nobody_filled_in_is_not_given(blank: Quat) -> None:
     assert z.attitude == "none"
     assert z.rows.tolist() == [0, 1, 2]
     assert _measurement(_fix(q_nb_wxyz=(1.0, 0.0, 0.0, 0.0))).attitude == "full"  # with its accuracy it is one
+
+
+def test_a_configured_delay_is_subtracted_from_the_stamp_of_whole_and_partial_fixes() -> None:
+    config = LandmarkFixConfig(delay_s=0.08, delay_sigma_s=0.005)
+    landmark = LandmarkFix(
+        10**9,
+        10**9,
+        p_n=(1.0, 2.0, 3.0),
+        q_nb_wxyz=Q,
+        covariance=GIVEN,
+        covariance_common=None,
+        landmarks=("a",),
+        similarity=1.0,
+        residual_px=0.5,
+        directions=np.eye(6)[:2],
+    )
+    for made in (_aid(_fix(), config), landmark_aid(landmark, config)):
+        assert isinstance(made, Aid)
+        assert made.t_ns == made.order[0] == 920_000_000
+        assert made.arrived_ns == 10**9
+        assert made.delay_sigma_s == 0.005

@@ -215,3 +215,62 @@ def test_fixes_so_late_that_the_gate_refuses_them_are_found_to_be_late_and_not_r
     assert abs(found - 250.0) < max(3.0 * sigma, 15.0)
     off = position_errors(within(run.estimates, 20.0, 50.0), flight.truth)
     assert math.sqrt((off**2).mean()) < 0.5
+
+
+def test_what_is_left_of_the_configured_sigma_once_readings_have_shown_something() -> None:
+    nothing, v_n = delay.Delay(EPOCH_NS), np.array([20.0, 0.0, -5.0])
+    vv = np.outer(v_n, v_n)
+    np.testing.assert_allclose(_covariance(nothing, v_n), 0.02**2 * vv)
+    assert nothing.covariance(0.0, v_n) is None
+    assert nothing.covariance(0.02, 0.01 * v_n) is None  # 4 mm
+    a, b = 1e4, 1e2  # 10 ms, of a sigma of 10 ms
+    some = delay.Delay(EPOCH_NS, a, b)
+    np.testing.assert_allclose(_covariance(some, v_n), (1.0 / 12500.0 + (100.0 / 12500.0) ** 2) * vv)
+    assert some._replace(is_state=True).covariance(0.02, v_n) is None
+    one = np.eye(1)
+    later = some.also(EPOCH_NS + 61 * SECOND, Innovation(np.zeros(1), one, 1e-12 * one, one, one, 0.0, 0.0), 0)
+    assert later.information < a  # the sums are new; what the minute before has shown still counts
+    np.testing.assert_array_equal(_covariance(later, v_n), _covariance(some, v_n))
+
+
+def _covariance(found: delay.Delay, v_n: Array) -> Array:
+    cov = found.covariance(0.02, v_n)
+    assert cov is not None
+    assert np.count_nonzero(cov) == np.count_nonzero(cov[E.P, E.P])
+    return cov[E.P, E.P]
+
+
+STRAIGHT = """
+duration_s = 60.0
+[vehicle]
+kind = "fixed_wing"
+speed_m_s = [20.0, 24.0]
+[imu]
+rate_hz = 100.0
+[pose_fix]
+rate_hz = 2.0
+sigma_m = [0.15, 0.15, 0.15]
+sigma_deg = [1.0, 1.0, 1.0]
+"""
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_before_and_after_a_delay_is_found_the_radius_of_a_fast_vehicle_covers_it(seed: int) -> None:
+    flight, by_ns = simulated(STRAIGHT, seed=seed), 80_000_000
+    messages = [
+        replace(m, t_ns=m.t_ns + by_ns, arrived_ns=m.arrived_ns + by_ns) if isinstance(m, PoseFix) else m for m in flight.messages
+    ]
+    run = fly(flight, messages=sorted(messages, key=lambda m: m.arrived_ns))
+    found, sigma = _found_ms(run, "/pose_fix")
+    assert abs(found - 80.0) < max(3.0 * sigma, 15.0)
+    estimates = within(run.estimates, 2.0, 60.0)
+    radius = np.array([math.sqrt(7.815 * np.linalg.eigvalsh(e.covariance[E.P, E.P])[-1]) for e in estimates])
+    off = position_errors(estimates, flight.truth)
+    assert off.max() > 1.0  # 80 ms at 22 m/s are 1.8 m
+    assert (off < 3.0 * radius).all()
+
+
+@pytest.mark.parametrize(("off_m", "is_explained"), [(6.0, True), (12.0, False)])
+def test_a_receiver_that_is_farther_off_than_any_delay_explains_shows_none(off_m: float, is_explained: bool) -> None:
+    x = _state(0.0)  # 5.9 m/s: 3 m in half a second, and 3 sigma of noise
+    assert delay.explains(np.array([0.0, off_m, 0.0]), np.eye(3), x) == is_explained
