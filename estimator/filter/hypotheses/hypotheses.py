@@ -41,7 +41,7 @@ from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.hypotheses import left_out
 from estimator.filter.hypotheses.hypothesis import FORGET, Doubt, Hypothesis
 from estimator.filter.hypotheses.innovation import innovation
-from estimator.filter.hypotheses.left_out import AGREES, LEFT_OUT_S
+from estimator.filter.hypotheses.left_out import LEFT_OUT_S
 from estimator.filter.hypotheses.mixture import covariance, ln_sum
 from estimator.sources.gating import gate
 from estimator.sources.source import Aid
@@ -170,16 +170,17 @@ class Hypotheses:
                     member.weight += min(0.0, gained[0] - gained[k])  # false to both: no evidence between them
             elif by_others is not None:
                 member.weight += by_others
-            elif not set_aside:  # no other one follows the receiver: it is judged again
+            elif (
+                passed[k] and not set_aside and not aid.receiver
+            ):  # no other one follows the receiver, which agrees: judged again
                 member.without = ""
                 answer(k)
-        agrees = seen[0].distance2 <= gate(AGREES, len(z.rows))
         at_fix = left_out.moved(self.members[0], aid, z, gyro_b, seen[0]) if believer and self.members[0].receiver else None
         for member, was_fused in zip(self.members, fused, strict=True):
             doubt = member.doubts.get(aid.topic)
             if was_fused != fused[0] and not (doubt and doubt.deliberate):
                 member.parted_ns = aid.t_ns
-        left_out.begin_again(self.members, aid, fused, at_fix, agrees=agrees)
+        left_out.begin_again(self.members, aid, fused, at_fix, seen)
         self.members += born + ([believer] if believer else [])
         if at_fix:
             left_out.add_at_fix(self.members, at_fix, aid)

@@ -1,8 +1,11 @@
 """Hypotheses without a receiver: one goes on without GNSS, which may be misled for minutes by an error that all readings share.
 
-It takes no reading of the receiver. With each fix that confirms the leading hypothesis it begins again as that one, so that it
-is never older than the last confirmation. Where no hypothesis takes a fix, one begins at the fix, for the receiver may have
-been misled from the start; it is dropped when the next fix does not follow, for fixes in a wrong unit are no evidence.
+It takes no reading of the receiver. With each fix that the leading hypothesis predicts better it begins again as that one, so
+that it is never older than the last confirmation. Where no hypothesis takes a fix, one begins at the fix, for the receiver may
+have been misled from the start; it is dropped when the next fix does not follow, for fixes in a wrong unit are no evidence.
+
+A receiver that was left has no say until its positions agree again: without a fix for 10 s the first one that passes the gate,
+else 10 s of them. Its velocities have none before its positions.
 (Solution separation: Blanch et al., Baseline advanced RAIM user algorithm, 2015, sec. IV.)
 """
 
@@ -20,7 +23,6 @@ LEFT_OUT_S = 60.0  # without a fix for so long, a hypothesis without the receive
 _PULL_M_S = 2.0  # by which a misled receiver may have moved the velocity
 _UNAIDED_S = 10.0  # without a fix for so long, a receiver that agrees is better than none
 _AGREED_S = 10.0  # of positions that pass the gate, after which a receiver is followed again
-AGREES = 0.5  # share of good fixes that are near enough to confirm
 
 
 def add(members: list[Hypothesis], aid: Aid) -> bool:
@@ -89,18 +91,20 @@ def end(lead: Hypothesis, aid: Aid, *, passed: bool) -> None:
         lead.doubts.pop(aid.topic, None)
 
 
-def begin_again(members: list[Hypothesis], aid: Aid, fused: list[bool], at_fix: Hypothesis | None, *, agrees: bool) -> None:
-    """After a fix of another source: as the leading one where that fused it and agrees, or where this one refused it.
+def begin_again(
+    members: list[Hypothesis], aid: Aid, fused: list[bool], at_fix: Hypothesis | None, seen: list[Innovation]
+) -> None:
+    """After a fix of another source: as the leading one where that fused and predicted it better, or where this one refused it.
 
-    Where all refused it: at the fix. fused: by each member; at_fix: see moved().
+    Where all refused it: at the fix. fused, seen: by and from each member; at_fix: see moved().
     """
     right = members[0] if fused[0] else at_fix
     if not aid.absolute:
         return
-    for member, was_fused in [*zip(members, fused, strict=True)][1:]:
+    for member, was_fused, by_member in [*zip(members, fused, seen, strict=True)][1:]:
         if not member.without or member.without == aid.witness:
             continue
-        if was_fused and not (agrees and fused[0]):
+        if was_fused and not (fused[0] and seen[0].log_likelihood >= by_member.log_likelihood):
             member.begun_at_fix = False
         elif member.begun_at_fix and not was_fused:  # fixes that do not follow from one another are no evidence
             members[0].refuted_ns = aid.t_ns

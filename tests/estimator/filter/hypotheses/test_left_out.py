@@ -61,12 +61,46 @@ def test_the_leading_one_follows_the_receiver_again_when_nothing_else_confirms_i
 def test_the_position_of_a_receiver_that_was_left_has_no_say_while_fixes_confirm_the_leading_one(
     fused_ago_s: float, members: int
 ) -> None:
-    """Afterwards it is judged as any other: it fails, and a hypothesis begins that follows it."""
+    """Afterwards it fails, and a hypothesis begins that follows it; the leading one still goes without it."""
     bank = Hypotheses([_without((0.0, 0.0, 0.0), fused_ago_s=fused_ago_s)])
     verdict = bank.judge(*_gnss((20.0, 0.0, 0.0)), np.zeros(3), trusted=True)
     assert not verdict.fused
     assert len(bank.members) == members
-    assert bool(bank.members[0].without) == verdict.foreseen == (members == 1)
+    assert bank.members[0].without == TOPIC
+    assert verdict.foreseen == (members == 1)
+
+
+def test_the_velocity_of_a_receiver_that_was_left_is_not_fused_before_its_positions_agree() -> None:
+    """For 15 s without a fix the own velocity is so uncertain that any other passes its gate."""
+    bank = Hypotheses([_without((0.0, 0.0, 0.0), fused_ago_s=15.0)])
+    bank.lead.cov[E.V, E.V] = 4.0 * np.eye(3)
+    bank.judge(*_gnss((20.0, 0.0, 0.0)), np.zeros(3), trusted=True)
+    aid = velocity_aid(GnssVelocity(EPOCH_NS, EPOCH_NS, (3.0, 0.0, 0.0), 0.01 * np.eye(3)), GnssConfig())
+    assert isinstance(aid, Aid)
+    z = aid.measurement(ORIGIN)
+    assert z is not None
+    before = bank.lead.x.copy()
+    verdict = bank.judge(aid, z, np.zeros(3), trusted=True)
+    assert verdict.passed
+    assert not verdict.fused
+    np.testing.assert_array_equal(bank.lead.x, before)
+
+
+@pytest.mark.parametrize(("lead_n_m", "begins_again"), [(0.05, True), (0.25, False)])
+def test_after_a_fix_the_hypothesis_without_the_receiver_begins_again_where_the_leading_one_predicted_it_better(
+    lead_n_m: float, begins_again: bool
+) -> None:
+    """A receiver that pulls slowly moves the leading one within its gate: the fix is nearer to the other."""
+    bank = Hypotheses([_member((lead_n_m, 0.0, 0.0)), _without((-0.1, 0.0, 0.0), -4.6)])
+    bank.members[1].filter.cov[E.P, E.P] *= 2.0
+    other = bank.members[1].filter.x[0]
+    fix = aid_of(pose_fix(EPOCH_NS, (0.0, 0.0, 0.0)))
+    z = fix.measurement(None)
+    assert z is not None
+    assert bank.judge(fix, z, np.zeros(3), trusted=True).fused
+    without = next(m for m in bank.members if m.without)
+    assert (without.filter.x[0] == bank.lead.x[0]) == begins_again
+    assert without.filter.x[0] != other
 
 
 def test_the_velocity_of_a_receiver_that_was_left_is_not_fused_while_fixes_confirm_the_leading_one() -> None:
