@@ -335,6 +335,8 @@ class Tracker(Alignment):
                 self.stretch = None  # a run would leave the delay out
         is_rejected = aid.topic in self.hypotheses.members[0].rejected
         self.conflicts = self.conflicts.judged(aid, z, self.hypotheses.lead.x[X.P], is_rejected=is_rejected)
+        if (found := self.conflicts.apart.get(aid.witness)) and found.lasts and aid.receiver:
+            self.hypotheses.cover(aid.witness)
         self.hypotheses.drop(lambda member: bool(self.violation(member.filter)))
         if trusted:
             self._note_contradiction(aid, z, foreseen=verdict.foreseen)

@@ -159,6 +159,7 @@ class Hypotheses:
             )
             return member.weight - before
 
+        first = bool(aid.receiver) and not passed[0] and aid.topic not in self.members[0].doubts
         following = [k for k, m in enumerate(self.members) if m.without != aid.witness and aid.witness not in m.doubts]
         gained = {k: answer(k) for k, m in enumerate(self.members) if m.without != aid.witness}
         by_others = gained[0] if 0 in gained else max((gained[k] for k in following), default=None)
@@ -175,6 +176,8 @@ class Hypotheses:
             ):  # no other one follows the receiver, which agrees: judged again
                 member.without = ""
                 answer(k)
+        if first and not fused[0]:
+            left_out.begin_at_step(self.members, aid)
         at_fix = left_out.moved(self.members[0], aid, z, gyro_b, seen[0]) if believer and self.members[0].receiver else None
         for member, was_fused in zip(self.members, fused, strict=True):
             doubt = member.doubts.get(aid.topic)
@@ -205,6 +208,12 @@ class Hypotheses:
                 self.members.insert(0, member)
                 self.switches += 1
                 return
+
+    def cover(self, topic: str) -> None:
+        """The receiver contradicts the estimate for long: the hypothesis without it counts alike until a fix decides."""
+        for member in self.members[1:]:
+            if member.without == topic and member.weight > -FORGET and not member.benefit:
+                member.benefit = -member.weight
 
     def weigh(self, t_ns: int, gained: list[float]) -> None:
         """What only tells the hypotheses apart: w_k <- w_k + gained_k (ln); the heaviest leads."""

@@ -222,6 +222,19 @@ def test_a_gnss_that_is_pulled_off_is_left_by_fixes_each_four_seconds_and_fused_
     assert [s.reason for s in last] == [Reason.FUSED] * 10
 
 
+@pytest.mark.parametrize("m_s", [1.0, 3.0])
+def test_a_pull_that_begins_at_once_is_covered_until_the_next_fix(m_s: float) -> None:
+    """The step of the velocity shows it, ten seconds and more before a fix does."""
+    flight = simulated(BOOT, seed=3)
+    no_fix = range(PULL_NS - 5 * SECOND, PULL_NS + 14 * SECOND)
+    run = fly(flight, messages=[m for m in _pulled(flight, m_s) if not isinstance(m, PoseFix) or m.t_ns not in no_fix])
+    found = [e for e in run.estimates if PULL_NS < e.t_ns < PULL_NS + 14 * SECOND][::5]
+    radius = np.array([2.8 * math.sqrt(np.linalg.eigvalsh(e.covariance[E.P, E.P])[-1]) for e in found])
+    off = position_errors(found, flight.truth)
+    assert (off > 3.0 * radius).mean() < 0.02
+    assert "disagree" in run.health[-1].detail or any("disagree" in h.detail for h in run.health)
+
+
 def test_a_gnss_that_was_left_and_is_right_again_is_fused_although_no_fix_comes_any_more() -> None:
     flight = simulated(BOOT, seed=3)
     last_fix_ns = EPOCH_NS + 48 * SECOND
