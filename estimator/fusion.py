@@ -172,7 +172,7 @@ class Fusion:
 
     def _change_imu(self, sample: ImuSample) -> bool:
         """Note the sample of one of several IMUs; whether another IMU leads because of it, which has then taken over."""
-        change = self._imus.note(sample)
+        change = self._imus.note(sample, is_refuted=self._history.tracker.is_refuted)
         if change is None:
             return False
         since_ns = self._history.change_imu(change.since_ns, change.samples)

@@ -322,6 +322,8 @@ class Tracker(Alignment):
             self._note_variance(aid, verdict.seen)
         if verdict.fused and aid.absolute and alone and not aid.geodetic:  # two sources that disagree are no motion
             self._note_biases(aid, verdict.seen)
+        if aid.absolute or aid.receiver:
+            self.failed = {**self.failed, aid.topic: 0 if verdict.passed else self.failed.get(aid.topic, 0) + 1}
         if trusted and (aid.absolute or aid.receiver):
             self.delays = delay.noted(aid, verdict.seen, verdict.gate, self.delays, self.hypotheses.members)
             if self.delays[aid.witness].is_state:

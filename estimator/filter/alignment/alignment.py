@@ -45,6 +45,7 @@ _BESIDE_NS = 5_000_000_000
 _WRONG_NS = 30_000_000_000  # a heading that motion has refuted is not asked for
 _FRESH_NS = 2_000_000_000  # a prior attitude is of now
 _XYZ = 3
+_REFUTED = 2  # positions in a row
 _MOVED_SIGMA = 4.0  # positions that differ by more are of a vehicle that moves
 
 
@@ -93,6 +94,7 @@ class Alignment:
         self.stretch: Stretch | None = None
         self.contradiction = NO_CONTRADICTION
         self.given_up = 0  # how often a filter was
+        self.failed: dict[str, int] = {}  # gates in a row, of sources of positions and their velocities; never changed in place
         self.variance_factor = NO_EXCESS
         self.direction: tuple[float, ...] = ()  # of the newest innovation of an absolute source during the alignment
         self.conflicts = Conflicts()
@@ -106,6 +108,11 @@ class Alignment:
         if self.hypotheses is not None or self.resting is None:  # nearly every call
             return self.hypotheses
         return self.resting.bank
+
+    @property
+    def is_refuted(self) -> bool:
+        """The last positions were foreseen by no hypothesis, or a source of positions has failed its gate several times in a row."""
+        return self.contradiction.unforeseen >= _REFUTED or max(self.failed.values(), default=0) >= _REFUTED
 
     @property
     def shown(self) -> Hypotheses | None:
