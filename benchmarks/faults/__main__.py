@@ -4,6 +4,7 @@ python -m benchmarks.faults [--only drag rest] [--seeds 1 2 3] [--jobs 2] [-o FO
 """
 
 import argparse
+import math
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -24,6 +25,11 @@ _COLUMNS: Final = (
 )  # fmt: skip
 
 
+def _mean(values: Sequence[float]) -> float:
+    known = [v for v in values if not math.isnan(v)]
+    return sum(known) / len(known) if known else math.nan
+
+
 def row(scores: Sequence[Score]) -> tuple[str, ...]:
     """Of the seeds of one fault: means, and the largest share overconfident."""
     over = max(max(s.overconfident.values()) for s in scores)
@@ -37,9 +43,9 @@ def row(scores: Sequence[Score]) -> tuple[str, ...]:
     return (
         scores[0].sensor,
         scores[0].fault,
-        f"{number(float(np.nanmean([s.lit_m for s in scores])))} m",
-        f"{number(float(np.nanmean([s.end_m for s in scores])))} m",
-        number(float(np.nanmean([s.nees for s in scores]))),
+        f"{number(_mean([s.lit_m for s in scores]))} m",
+        f"{number(_mean([s.end_m for s in scores]))} m",
+        number(_mean([s.nees for s in scores])),
         f"{100.0 * over:.1f} %",
         f"{100.0 * np.mean([s.published for s in scores]):.0f} %",
         f"{100.0 * share:.0f} % {why}".strip(),

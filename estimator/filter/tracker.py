@@ -41,6 +41,7 @@ _LOST_NS = 60_000_000_000  # an IMU gap after which the alignment begins again
 _NOT_YET = "used once the attitude is known: false axes would mislead the alignment"
 _WRONG_SENSOR = "its heading does not agree with the motion: wrong axes or mounting, or iron near it"
 _XYZ = 3
+_MOVES = 2  # velocities, seconds apart, that are not zero: what looks at rest goes on so
 _ON_THE_GROUND = RestConfig()
 _FELT = frozenset({rest.TOPIC, drag.TOPIC})
 
@@ -53,6 +54,7 @@ class Tracker(Alignment):
         self._aided_ns = round(config.dead_reckoning_after_s * 1e9)
         self.place = config.origin.lla if config.origin else None
         self.rest_since: tuple[int, float] | None = None  # and the heading then
+        self.rest_refuted = 0  # how often positions have shown that it moves, since the IMU showed motion
         self.sources: dict[str, SourceState] = {}
         self.same: dict[str, tuple[bytes, int]] = {}  # what a sensor reads, and since when, by topic
         self.last_odometry_ns = NEVER
@@ -298,7 +300,7 @@ class Tracker(Alignment):
             if self.rest_since is not None and self.is_aligned and self.hypotheses is not None:
                 self.hypotheses.forget(rest.BLOCK)
                 self.stretch = Stretch.of(self.hypotheses.lead)
-            self.rest_since = None
+            self.rest_since, self.rest_refuted = None, 0
             return Refusal(Reason.THINNED, "in motion" if self.is_aligned else NO_POSITION)
         lead = self.hypotheses.lead
         if self.rest_since is None:
@@ -306,8 +308,11 @@ class Tracker(Alignment):
         since_ns, azimuth = self.rest_since
         if self.t_ns - since_ns < rules.after_s * 1e9:
             return Refusal(Reason.THINNED, "at rest for a moment")
-        if not rest.is_known(lead.cov, rules):
-            return Refusal(Reason.GATED, "looks at rest, but the velocity is not known well enough to confirm it")
+        why = rest.objection(lead.x, lead.cov, rules)
+        if why or self.rest_refuted >= _MOVES:
+            self.rest_since = None  # it has to look at rest for as long again
+            self.rest_refuted += self.t_ns - self.last_absolute_ns <= self._aided_ns
+            return Refusal(Reason.GATED, why or "looks at rest, but positions have shown that it moves")
         self.stretch = None  # a run would leave out what rest has shown, and rest is linear
         earth_n = self.origin.earth_rate_n if self.origin is not None else _NO_RATE
         return rest.at_rest(u, azimuth, earth_n, rules)
@@ -348,7 +353,7 @@ class Tracker(Alignment):
         if state.held_until_ns > aid.t_ns and trusted:
             self.hypotheses.leave(aid.witness)
         if not aid.weighs and not verdict.passed:
-            state = state.held(aid.rules, aid.t_ns)
+            state = state.held(aid.rules, aid.t_ns, alone=alone)
         ratio = verdict.seen.distance2 / verdict.gate
         detail = aid.detail if reason is not Reason.GATED else "; ".join(filter(None, (aid.detail, self._conflict())))
         position = position_innovation(z, verdict.seen.nu, verdict.seen.s) if aid.absolute else None
