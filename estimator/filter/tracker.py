@@ -77,7 +77,7 @@ class Tracker(Alignment):
     def restarted(self) -> "Tracker":
         """A tracker without estimate, on the same map and with the same trust in the sources."""
         other = Tracker(self.config)
-        other.origin, other.place, other.constants = self.origin, self.place, self.constants
+        other.origin, other.place, other.constants, other.noise = self.origin, self.place, self.constants, self.noise
         other.sources, other.absolute = self.sources.copy(), self.absolute
         other.last_absolute_ns, other.anchor, other.given_up = self.last_absolute_ns, self.anchor, self.given_up
         other.path_scale, other.delays, other.bias_walk = self.path_scale, self.delays, self.bias_walk
@@ -113,7 +113,7 @@ class Tracker(Alignment):
         self.t_ns, self.last_absolute_ns = checkpoint.t_ns, checkpoint.last_absolute_ns
         if checkpoint.origin is not None:
             self.origin, self.place = Origin(*checkpoint.origin), checkpoint.origin
-            self.constants = imu.constants(self.config.imu, self.config.coast, self.origin)
+            self.constants = imu.constants(self.noise, self.config.coast, self.origin)
         lead = Eskf(checkpoint.t_ns, checkpoint.nav.copy(), checkpoint.covariance.copy(), self.constants)
         since_ns = max(checkpoint.last_absolute_ns, checkpoint.t_ns - _LOST_NS)
         self.hypotheses = Hypotheses([Hypothesis(lead, fused_ns=since_ns, established_ns=since_ns)])
@@ -184,7 +184,7 @@ class Tracker(Alignment):
         """Take a measurement valid now (t_ns is aid.t_ns)."""
         if aid.geodetic and self.origin is None and self.hypotheses is None:
             self.origin, self.place = Origin(*aid.geodetic), aid.geodetic
-            self.constants = imu.constants(self.config.imu, self.config.coast, self.origin)
+            self.constants = imu.constants(self.noise, self.config.coast, self.origin)
         if isinstance(aid, OdometryAid):
             return self._odometry(aid)
         if isinstance(aid, ImuAid):
@@ -271,9 +271,12 @@ class Tracker(Alignment):
 
     def _change_imu(self, aid: ImuAid) -> Decision:
         """The samples that follow are those of another IMU, with biases of its own; no run goes across the change."""
+        self.noise = self.config.imu.scaled(aid.factor)
+        self.constants = imu.constants(self.bias_walk.of_noise(self.noise), self.config.coast, self.origin)
         beside = self.without_sensor.bank.members if self.without_sensor is not None else ()
         for member in (*(self.bank.members if self.bank is not None else ()), *beside):
             member.filter.change_imu(aid.shift, aid.sigma)
+            member.filter.constants = self.constants
         if self.without_sensor is not None:
             self.without_sensor.stretch = None
         self.stretch = None
@@ -415,7 +418,7 @@ class Tracker(Alignment):
         before = self.bias_walk
         self.bias_walk = before.also(aid.topic, aid.t_ns, seen, self.variance_factor.value)
         if self.bias_walk.factor != before.factor:
-            self.constants = imu.constants(self.bias_walk.of_noise(self.config.imu), self.config.coast, self.origin)
+            self.constants = imu.constants(self.bias_walk.of_noise(self.noise), self.config.coast, self.origin)
             for member in self.hypotheses.members:
                 member.filter.constants = self.constants
 

@@ -171,6 +171,20 @@ def test_given_two_contradict_each_other_then_positions_decide(journey: Ride, wr
     assert np.linalg.norm(error(later[-1], journey.truth)[E.P]) < 2.5
 
 
+def test_given_another_imu_with_a_noise_of_its_own_then_the_covariance_grows_by_that(journey: Ride) -> None:
+    """Fifty times the noise of the first: the velocity in the dark is known worse once the second leads."""
+    messages = FAULTS["stuck"].of(_lit([*journey.messages, *_other(journey, "/imu2", 1)]))
+    config = parse('[inputs]\nimu = ["/imu", "/imu2"]\n[imu]\nothers_noise = [50.0]\n').fusion()
+    assert config.imu_factors == {"/imu2": 50.0}
+    ends = []
+    for factors in ({}, config.imu_factors):
+        run = _run(messages, replace(_config("/imu", "/imu2"), imu_factors=factors))
+        before, end = (within(run.estimates, t, t + 0.5)[0] for t in (FAULT_S - 1.0, DARK_S[1] - 0.5))
+        ends.append((before.covariance.diagonal()[E.V].max(), end.covariance.diagonal()[E.V].max()))
+    assert ends[0][0] == ends[1][0]
+    assert ends[1][1] > 2.0 * ends[0][1]
+
+
 def test_given_two_sound_imus_then_the_estimate_is_that_of_the_first(journey: Ride) -> None:
     both = _run([*journey.messages, *_other(journey, "/imu2", 1)], _config("/imu", "/imu2"))
     alone = _run(journey.messages, _config("/imu"))

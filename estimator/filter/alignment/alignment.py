@@ -80,7 +80,8 @@ class Alignment:
         self._gap_ns = round(config.coast.gap_s * 1e9)
         self.t_ns = NEVER
         self.origin = config.origin
-        self.constants = imu.constants(config.imu, config.coast, config.origin)
+        self.noise = config.imu  # of the IMU that leads
+        self.constants = imu.constants(self.noise, config.coast, config.origin)
         self.hypotheses: Hypotheses | None = None
         self.is_aligned = False
         self.still: Still | None = None

@@ -73,10 +73,11 @@ class TakeOver(NamedTuple):
 
 
 class ImuAid(Aid, frozen=True, eq=False, kw_only=True):
-    """The change of the IMU, in its place among the measurements."""
+    """The change of the IMU, in its place among the measurements; factor: on the noise of the first."""
 
     shift: Array
     sigma: Array
+    factor: float
 
 
 class Choice:
@@ -213,7 +214,7 @@ class Choice:
         return TakeOver(topic, since_ns, stream.after(since_ns), self.why, shift, sigma)
 
 
-def imu_aid(change: TakeOver, t_ns: int, arrived_ns: int, unknown: tuple[float, float]) -> ImuAid:
+def imu_aid(change: TakeOver, t_ns: int, arrived_ns: int, unknown: tuple[float, float], factor: float = 1.0) -> ImuAid:
     """The change as what the tracker goes through at t_ns. unknown: sigma of gyro and accelerometer bias at the start."""
     shift, sigma = change.shift, change.sigma
     if shift is None:
@@ -231,4 +232,5 @@ def imu_aid(change: TakeOver, t_ns: int, arrived_ns: int, unknown: tuple[float, 
         detail=change.why,
         shift=shift,
         sigma=sigma,
+        factor=factor,
     )
