@@ -159,7 +159,7 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             integrity=self.integrity,
             imus=self.imus,
             imu_topics=self.inputs.imu,
-            imu_factors=dict(zip(self.inputs.imu[1:], self.imu.others_noise, strict=False)),
+            imu_factors=self.imu.others_noise,
             origin=self.map.origin,
         )
 

@@ -76,7 +76,7 @@ class FusionConfig(FilterConfig, frozen=True, kw_only=True):
     integrity: IntegrityConfig = IntegrityConfig()
     imus: ImusConfig = ImusConfig()
     imu_topics: tuple[str, ...] = ()
-    imu_factors: dict[str, float] = {}  # noise of the others, in that of the first
+    imu_factors: tuple[float, ...] = ()  # noise of the others, in that of the first
 
 
 class Fusion:
@@ -179,8 +179,8 @@ class Fusion:
         since_ns = self._history.change_imu(change.since_ns, change.samples)
         initial = self._config.initialise
         unknown = initial.gyro_bias_sigma, initial.accel_bias_sigma
-        factor = self._config.imu_factors.get(change.topic, 1.0)
-        self._history.insert_aid(imu_aid(change, since_ns, sample.arrived_ns, unknown, factor))
+        factors = dict(zip(self._config.imu_topics[1:], self._config.imu_factors, strict=False))
+        self._history.insert_aid(imu_aid(change, since_ns, sample.arrived_ns, unknown, factors.get(change.topic, 1.0)))
         return True
 
     def _advance(self, sample: ImuSample) -> list[Output]:

@@ -50,7 +50,11 @@ def faulty(messages: list[Input], fault: str, begin_ns: int, sends: Callable[[In
 def _with_fault(m: Sent, before: Sent, fault: str) -> Input:
     if fault == "late":
         shifted: Input = replace(m, t_ns=m.t_ns + _LATE_NS, arrived_ns=m.arrived_ns + _LATE_NS)
-        return replace(shifted, t0_ns=m.t0_ns + _LATE_NS) if isinstance(shifted, OdometryDelta) and isinstance(m, OdometryDelta) else shifted
+        return (
+            replace(shifted, t0_ns=m.t0_ns + _LATE_NS)
+            if isinstance(shifted, OdometryDelta) and isinstance(m, OdometryDelta)
+            else shifted
+        )
     if isinstance(m, Reading) and isinstance(before, Reading):
         return replace(m, values=_values(m, before, fault))
     if isinstance(m, ImuSample) and isinstance(before, ImuSample):
@@ -60,7 +64,8 @@ def _with_fault(m: Sent, before: Sent, fault: str) -> Input:
         return replace(m, dp_b=_vector(m.dp_b, before.dp_b, fault, _STEP_BIAS))
     if isinstance(m, GnssVelocity) and isinstance(before, GnssVelocity):
         return replace(m, v_n=_vector(m.v_n, before.v_n, fault, (3.0, 0.0, 0.0)))
-    assert isinstance(m, AttitudePrior) and isinstance(before, AttitudePrior)
+    assert isinstance(m, AttitudePrior)
+    assert isinstance(before, AttitudePrior)
     return replace(m, q_nb_wxyz=_attitude(m, before, fault))
 
 

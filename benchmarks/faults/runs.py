@@ -60,7 +60,9 @@ def run(job: tuple[str, str, int]) -> Score:
     return _scored(job, case, estimates, health, list(decided.values()))
 
 
-def _scored(job: tuple[str, str, int], case: Case, estimates: list[Estimate], health: list[Health], words: list[AidStatus]) -> Score:
+def _scored(
+    job: tuple[str, str, int], case: Case, estimates: list[Estimate], health: list[Health], words: list[AidStatus]
+) -> Score:
     begin_ns, dark_ns, end_ns = (EPOCH_NS + round(s * _SECOND_NS) for s in (case.begin_s, case.dark_s, case.end_s))
     since = [e for e in estimates if begin_ns <= e.t_ns < end_ns]
     some = since[::_EVERY]
@@ -82,7 +84,9 @@ def _scored(job: tuple[str, str, int], case: Case, estimates: list[Estimate], he
     refused = Counter(str(s.reason) for s in readings if s.reason not in _HARMLESS)
     details = Counter(s.detail for s in readings if s.detail and s.reason not in _HARMLESS)
     said = Counter(part for h in health if h.t_ns >= begin_ns for part in h.detail.split("; ") if part)
-    states = Counter(f"{topic} {h.sources[topic]}" for h in health if h.t_ns >= begin_ns for topic in case.topics if topic in h.sources)
+    states = Counter(
+        f"{topic} {h.sources[topic]}" for h in health if h.t_ns >= begin_ns for topic in case.topics if topic in h.sources
+    )
     count, ticks = max(len(readings), 1), max(sum(h.t_ns >= begin_ns for h in health), 1)
     return Score(
         *job,

@@ -297,7 +297,15 @@ class SourceState(msgspec.Struct, frozen=True):
             phase = Phase.ACTIVE
         silent_ns = t_ns + round(rules.timeout_s * 1e9)
         return SourceState(
-            phase, t_ns, silent_ns, self.fused_ns, passed, self.held_until_ns, sums, failed_ns=self.failed_ns, is_refuted=self.is_refuted
+            phase,
+            t_ns,
+            silent_ns,
+            self.fused_ns,
+            passed,
+            self.held_until_ns,
+            sums,
+            failed_ns=self.failed_ns,
+            is_refuted=self.is_refuted,
         )
 
     def phase_at(self, t_ns: int) -> Phase:

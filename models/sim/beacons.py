@@ -1,6 +1,6 @@
 """Ranges to beacons that stand at known points, as ultra-wideband radios measure them.
 
-    z = |b - p - R_nb l| + s + n,   s constant for the run: antenna delay and survey
+z = |b - p - R_nb l| + s + n,   s constant for the run: antenna delay and survey
 """
 
 import msgspec

@@ -112,7 +112,7 @@ class Alignment:
 
     @property
     def is_refuted(self) -> bool:
-        """The last positions were foreseen by no hypothesis, or a source of positions has failed its gate several times in a row."""
+        """No hypothesis foresaw the last positions, or a source of positions has failed its gate several times in a row."""
         return self.contradiction.unforeseen >= _REFUTED or max(self.failed.values(), default=0) >= _REFUTED
 
     @property
