@@ -9,7 +9,17 @@ import numpy as np
 from msgspec.structs import replace
 
 from estimator.filter import contradiction, remarks
-from estimator.filter.alignment import AT_REST, NEVER, NO_POSITION, Alignment, Decision, TrackerConfig, covariance, lacks
+from estimator.filter.alignment import (
+    AT_REST,
+    NEVER,
+    NO_POSITION,
+    WRONG_SENSOR,
+    Alignment,
+    Decision,
+    TrackerConfig,
+    covariance,
+    lacks,
+)  # fmt: skip
 from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.gnss_anchor import GnssAnchor
 from estimator.filter.hypotheses import Hypotheses, Hypothesis
@@ -39,7 +49,6 @@ _NO_IMU = np.zeros(6)
 _FOR_ALIGNED = "odometry is used once aligned"
 _LOST_NS = 60_000_000_000  # an IMU gap after which the alignment begins again
 _NOT_YET = "used once the attitude is known: false axes would mislead the alignment"
-_WRONG_SENSOR = "its heading does not agree with the motion: wrong axes or mounting, or iron near it"
 _XYZ = 3
 _MOVES = 2  # velocities, seconds apart, that are not zero: what looks at rest goes on so
 _ON_THE_GROUND = RestConfig()
@@ -209,7 +218,7 @@ class Tracker(Alignment):
             return Decision(Reason.IMPLAUSIBLE, detail=why)
         if isinstance(z, Heading):
             if aid.t_ns < self.wrong_until_ns.get(aid.topic, NEVER):
-                return Decision(Reason.STOPPED, detail=_WRONG_SENSOR)
+                return Decision(Reason.STOPPED, detail=WRONG_SENSOR)
             self.sensed = None if self.is_aligned else (aid, z)
         elif not aid.weighs and not self.is_aligned:
             return Decision(Reason.ALIGNING, detail=_NOT_YET)
@@ -228,7 +237,7 @@ class Tracker(Alignment):
         self._check_sensor(aid, z, samples, gyro_b)
         if self.hypotheses is None or not self.is_aligned:
             if isinstance(z, Velocity):
-                self._note_course(z, samples)
+                self._note_course(aid, z, samples)
             decision = self._align(aid, z, samples, gyro_b)
             if self.hypotheses is not None:
                 state = replace(state, fused_ns=aid.t_ns)
