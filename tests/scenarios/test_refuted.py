@@ -10,7 +10,7 @@ from estimator.fusion import Fusion, FusionConfig
 from estimator.sources.beacon import BeaconConfig
 from estimator.sources.rest import RestConfig
 from models import so3
-from models.messages import Array, AttitudePrior, ImuSample, Input, Reading, Reason
+from models.messages import Array, AttitudePrior, ImuSample, Input, Reason
 from models.sim.beacons import Beacons, measure_ranges
 from models.sim.scenario import EPOCH_NS
 from models.sim.sensors import GRADES, Imu
@@ -61,11 +61,7 @@ def test_given_beacons_that_go_wrong_together_then_the_dark_is_bridged_by_the_im
 def test_given_beacons_that_were_wrong_for_a_moment_then_they_are_used_in_the_dark(journey: Ride) -> None:
     t = journey.truth
     ranges = measure_ranges(BEACONS, t.t_ns, EPOCH_NS, t.p_n, t.R_nb, np.random.default_rng(51))
-    wrong: list[Input] = [
-        replace(r, values=(r.values[0] + 5.0 * (FAULT_S < _seconds(r.t_ns) < FAULT_S + 2.0),))
-        for r in ranges
-        if isinstance(r, Reading)
-    ]
+    wrong: list[Input] = [replace(r, values=(r.values[0] + 5.0 * (FAULT_S < _seconds(r.t_ns) < FAULT_S + 2.0),)) for r in ranges]
     config = replace(CONFIG, beacon=BeaconConfig(at_n_m=BEACONS.at_n_m))
     run = Run(Fusion(config)).feed(by_arrival([*_dark(journey.messages), *wrong]))
     assert np.linalg.norm(error(within(run.aligned, END_S - 1.0, END_S)[-1], t)[E.P]) < 2.0
