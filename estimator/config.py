@@ -35,6 +35,7 @@ __all__ = ["Config", "ConfigError", "load", "parse", "read", "with_origin"]
 
 _TOPICS = Topics()
 _Topics: TypeAlias = tuple[str, ...]
+_Factor: TypeAlias = Annotated[float, Meta(ge=0.01, le=1000)]
 _Degrees: TypeAlias = Annotated[float, Meta(ge=-360, le=360)]
 _Latitude: TypeAlias = Annotated[float, Meta(ge=-90, le=90)]
 _Longitude: TypeAlias = Annotated[float, Meta(ge=-180, le=180)]
@@ -53,6 +54,10 @@ class Imu(ImuNoise, frozen=True, forbid_unknown_fields=True):
     others_rpy_deg: Annotated[
         tuple[tuple[_Degrees, _Degrees, _Degrees], ...],
         Meta(description="deg: the same of the second topic of [inputs] imu and those that follow; none: as the first"),
+    ] = ()
+    others_noise: Annotated[
+        tuple[_Factor, ...],
+        Meta(description="ratio: noise and walks of the second topic of [inputs] imu and those that follow to these; none: 1"),
     ] = ()
 
 
@@ -154,6 +159,7 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             integrity=self.integrity,
             imus=self.imus,
             imu_topics=self.inputs.imu,
+            imu_factors=self.imu.others_noise,
             origin=self.map.origin,
         )
 

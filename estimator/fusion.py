@@ -76,6 +76,7 @@ class FusionConfig(FilterConfig, frozen=True, kw_only=True):
     integrity: IntegrityConfig = IntegrityConfig()
     imus: ImusConfig = ImusConfig()
     imu_topics: tuple[str, ...] = ()
+    imu_factors: tuple[float, ...] = ()  # noise of the others, in that of the first
 
 
 class Fusion:
@@ -172,13 +173,14 @@ class Fusion:
 
     def _change_imu(self, sample: ImuSample) -> bool:
         """Note the sample of one of several IMUs; whether another IMU leads because of it, which has then taken over."""
-        change = self._imus.note(sample)
+        change = self._imus.note(sample, is_refuted=self._history.tracker.is_refuted)
         if change is None:
             return False
         since_ns = self._history.change_imu(change.since_ns, change.samples)
         initial = self._config.initialise
         unknown = initial.gyro_bias_sigma, initial.accel_bias_sigma
-        self._history.insert_aid(imu_aid(change, since_ns, sample.arrived_ns, unknown))
+        factors = dict(zip(self._config.imu_topics[1:], self._config.imu_factors, strict=False))
+        self._history.insert_aid(imu_aid(change, since_ns, sample.arrived_ns, unknown, factors.get(change.topic, 1.0)))
         return True
 
     def _advance(self, sample: ImuSample) -> list[Output]:

@@ -58,6 +58,11 @@ class ImuNoise(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         float, msgspec.Meta(ge=0, lt=1, description="share of a turn that is wrong: scale and axes of the gyroscope; 0: none")
     ] = 1e-3
 
+    def scaled(self, factor: float) -> "ImuNoise":
+        """That of an IMU whose noise and walks are so many times as large."""
+        densities = {name: factor * getattr(self, name) for name in ("gyro_noise", "accel_noise", "gyro_walk", "accel_walk")}
+        return msgspec.structs.replace(self, **densities)
+
 
 class Coast(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The model that carries on when IMU samples are missing."""

@@ -103,8 +103,18 @@ class Pose:
         return (nu, h) if len(self.rows) == len(nu) else (nu[self.rows], h[self.rows])
 
 
+class Curved:
+    """A measurement that is not linear over what the filter leaves open."""
+
+    __slots__ = ()
+
+    def bend(self, x: Array, cov: Array, nu: Array, h: Array, s: Array) -> Array:
+        """Covariance (m, m) of what the linear model leaves out, at the state x with P (n, n); nu, H and S of this reading."""
+        raise NotImplementedError
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class PartialPose:
+class PartialPose(Curved):
     """r combinations of the position and attitude of the body, D (x_true (-) z) = y + v, metres; D (r, 6), y (r,), noise (r, r).
 
     z_n, q_nb_wxyz: where the images were linearised; the truth may be as far from there as the filter's covariance says
@@ -128,7 +138,7 @@ class PartialPose:
         return self.directions @ nu + self.readings, self.directions @ h
 
     def bend(self, x: Array, cov: Array, nu: Array, h: Array, s: Array) -> Array:
-        """Covariance (r, r) of what the linear model leaves out, at the state x with P (n, n); nu, H and S of this reading.
+        """See Curved.
 
         Poses that look the same are x exp(t zeta): moved by d and turned by theta, of which d - theta x d / 2 is linear in t. So
         D_p (theta x d) / 2 is left out; d and theta are what the truth may be off z, x (+) K nu (-) z and its covariance.

@@ -27,7 +27,7 @@ from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.kalman import ErrorStateKalman
 from estimator.filter.slow_errors import NO_SLOW_ERRORS, SlowErrors
 from models import cholesky, imu, so3
-from models.measurements import Measurement, PartialPose, innovation_covariance, mahalanobis
+from models.measurements import Curved, Measurement, innovation_covariance, mahalanobis
 from models.messages import Array
 from models.relative_pose import POSE_ERROR, moved, pose_of
 from models.state import E, X, retract, sound
@@ -180,7 +180,7 @@ class Eskf:
             moved = _identity(columns.stop - columns.start) if jacobian is None else jacobian
             h[:, columns] = moved if len(moved) == m else moved[z.rows]
         hp, s, distance2, logdet = compare(nu, self.cov, h, noise, self.slow.mean)
-        if isinstance(z, PartialPose):
+        if isinstance(z, Curved):
             bend = z.bend(self.x, self.cov, nu, h, s)
             noise, s = noise + bend, s + bend
             distance2, logdet = mahalanobis(nu, s)

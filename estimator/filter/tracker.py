@@ -9,7 +9,17 @@ import numpy as np
 from msgspec.structs import replace
 
 from estimator.filter import contradiction, remarks
-from estimator.filter.alignment import AT_REST, NEVER, NO_POSITION, Alignment, Decision, TrackerConfig, covariance, lacks
+from estimator.filter.alignment import (
+    AT_REST,
+    NEVER,
+    NO_POSITION,
+    WRONG_SENSOR,
+    Alignment,
+    Decision,
+    TrackerConfig,
+    covariance,
+    lacks,
+)  # fmt: skip
 from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.gnss_anchor import GnssAnchor
 from estimator.filter.hypotheses import Hypotheses, Hypothesis
@@ -39,8 +49,8 @@ _NO_IMU = np.zeros(6)
 _FOR_ALIGNED = "odometry is used once aligned"
 _LOST_NS = 60_000_000_000  # an IMU gap after which the alignment begins again
 _NOT_YET = "used once the attitude is known: false axes would mislead the alignment"
-_WRONG_SENSOR = "its heading does not agree with the motion: wrong axes or mounting, or iron near it"
 _XYZ = 3
+_MOVES = 2  # velocities, seconds apart, that are not zero: what looks at rest goes on so
 _ON_THE_GROUND = RestConfig()
 _FELT = frozenset({rest.TOPIC, drag.TOPIC})
 
@@ -53,6 +63,7 @@ class Tracker(Alignment):
         self._aided_ns = round(config.dead_reckoning_after_s * 1e9)
         self.place = config.origin.lla if config.origin else None
         self.rest_since: tuple[int, float] | None = None  # and the heading then
+        self.rest_refuted = 0  # how often positions have shown that it moves, since the IMU showed motion
         self.sources: dict[str, SourceState] = {}
         self.same: dict[str, tuple[bytes, int]] = {}  # what a sensor reads, and since when, by topic
         self.last_odometry_ns = NEVER
@@ -76,7 +87,7 @@ class Tracker(Alignment):
     def restarted(self) -> "Tracker":
         """A tracker without estimate, on the same map and with the same trust in the sources."""
         other = Tracker(self.config)
-        other.origin, other.place, other.constants = self.origin, self.place, self.constants
+        other.origin, other.place, other.constants, other.noise = self.origin, self.place, self.constants, self.noise
         other.sources, other.absolute = self.sources.copy(), self.absolute
         other.last_absolute_ns, other.anchor, other.given_up = self.last_absolute_ns, self.anchor, self.given_up
         other.path_scale, other.delays, other.bias_walk = self.path_scale, self.delays, self.bias_walk
@@ -114,7 +125,7 @@ class Tracker(Alignment):
         self.t_ns, self.last_absolute_ns = checkpoint.t_ns, checkpoint.last_absolute_ns
         if checkpoint.origin is not None:
             self.origin, self.place = Origin(*checkpoint.origin), checkpoint.origin
-            self.constants = imu.constants(self.config.imu, self.config.coast, self.origin)
+            self.constants = imu.constants(self.noise, self.config.coast, self.origin)
         lead = Eskf(checkpoint.t_ns, checkpoint.nav.copy(), checkpoint.covariance.copy(), self.constants)
         since_ns = max(checkpoint.last_absolute_ns, checkpoint.t_ns - _LOST_NS)
         self.hypotheses = Hypotheses([Hypothesis(lead, fused_ns=since_ns, established_ns=since_ns)])
@@ -185,7 +196,7 @@ class Tracker(Alignment):
         """Take a measurement valid now (t_ns is aid.t_ns)."""
         if aid.geodetic and self.origin is None and self.hypotheses is None:
             self.origin, self.place = Origin(*aid.geodetic), aid.geodetic
-            self.constants = imu.constants(self.config.imu, self.config.coast, self.origin)
+            self.constants = imu.constants(self.noise, self.config.coast, self.origin)
         if isinstance(aid, OdometryAid):
             return self._odometry(aid)
         if isinstance(aid, ImuAid):
@@ -210,7 +221,7 @@ class Tracker(Alignment):
             return Decision(Reason.IMPLAUSIBLE, detail=why)
         if isinstance(z, Heading):
             if aid.t_ns < self.wrong_until_ns.get(aid.topic, NEVER):
-                return Decision(Reason.STOPPED, detail=_WRONG_SENSOR)
+                return Decision(Reason.STOPPED, detail=WRONG_SENSOR)
             self.sensed = None if self.is_aligned else (aid, z)
         elif not aid.weighs and not self.is_aligned:
             return Decision(Reason.ALIGNING, detail=_NOT_YET)
@@ -229,7 +240,7 @@ class Tracker(Alignment):
         self._check_sensor(aid, z, samples, gyro_b)
         if self.hypotheses is None or not self.is_aligned:
             if isinstance(z, Velocity):
-                self._note_course(z, samples)
+                self._note_course(aid, z, samples)
             decision = self._align(aid, z, samples, gyro_b)
             if self.hypotheses is not None:
                 state = replace(state, fused_ns=aid.t_ns)
@@ -272,9 +283,12 @@ class Tracker(Alignment):
 
     def _change_imu(self, aid: ImuAid) -> Decision:
         """The samples that follow are those of another IMU, with biases of its own; no run goes across the change."""
+        self.noise = self.config.imu.scaled(aid.factor)
+        self.constants = imu.constants(self.bias_walk.of_noise(self.noise), self.config.coast, self.origin)
         beside = self.without_sensor.bank.members if self.without_sensor is not None else ()
         for member in (*(self.bank.members if self.bank is not None else ()), *beside):
             member.filter.change_imu(aid.shift, aid.sigma)
+            member.filter.constants = self.constants
         if self.without_sensor is not None:
             self.without_sensor.stretch = None
         self.stretch = None
@@ -301,7 +315,7 @@ class Tracker(Alignment):
             if self.rest_since is not None and self.is_aligned and self.hypotheses is not None:
                 self.hypotheses.forget(rest.BLOCK)
                 self.stretch = Stretch.of(self.hypotheses.lead)
-            self.rest_since = None
+            self.rest_since, self.rest_refuted = None, 0
             return Refusal(Reason.THINNED, "in motion" if self.is_aligned else NO_POSITION)
         lead = self.hypotheses.lead
         if self.rest_since is None:
@@ -309,8 +323,11 @@ class Tracker(Alignment):
         since_ns, azimuth = self.rest_since
         if self.t_ns - since_ns < rules.after_s * 1e9:
             return Refusal(Reason.THINNED, "at rest for a moment")
-        if not rest.is_known(lead.cov, rules):
-            return Refusal(Reason.GATED, "looks at rest, but the velocity is not known well enough to confirm it")
+        why = rest.objection(lead.x, lead.cov, rules)
+        if why or self.rest_refuted >= _MOVES:
+            self.rest_since = None  # it has to look at rest for as long again
+            self.rest_refuted += self.t_ns - self.last_absolute_ns <= self._aided_ns
+            return Refusal(Reason.GATED, why or "looks at rest, but positions have shown that it moves")
         self.stretch = None  # a run would leave out what rest has shown, and rest is linear
         earth_n = self.origin.earth_rate_n if self.origin is not None else _NO_RATE
         return rest.at_rest(u, azimuth, earth_n, rules)
@@ -325,6 +342,8 @@ class Tracker(Alignment):
             self._note_variance(aid, verdict.seen)
         if verdict.fused and aid.absolute and alone and not aid.geodetic:  # two sources that disagree are no motion
             self._note_biases(aid, verdict.seen)
+        if aid.absolute or aid.receiver:
+            self.failed = {**self.failed, aid.topic: 0 if verdict.passed else self.failed.get(aid.topic, 0) + 1}
         apart = self.conflicts.apart.get(aid.witness)
         may_be_late = apart is None or delay.explains(apart.off, apart.s, self.hypotheses.lead.x)
         if trusted and may_be_late and (aid.absolute or aid.receiver):
@@ -355,7 +374,7 @@ class Tracker(Alignment):
         if state.held_until_ns > aid.t_ns and trusted:
             self.hypotheses.leave(aid.witness)
         if not aid.weighs and not verdict.passed:
-            state = state.held(aid.rules, aid.t_ns)
+            state = state.held(aid.rules, aid.t_ns, alone=alone)
         ratio = verdict.seen.distance2 / verdict.gate
         detail = aid.detail if reason is not Reason.GATED else "; ".join(filter(None, (aid.detail, self._conflict())))
         position = position_innovation(z, verdict.seen.nu, verdict.seen.s) if aid.absolute else None
@@ -420,7 +439,7 @@ class Tracker(Alignment):
         before = self.bias_walk
         self.bias_walk = before.also(aid.topic, aid.t_ns, seen, self.variance_factor.value)
         if self.bias_walk.factor != before.factor:
-            self.constants = imu.constants(self.bias_walk.of_noise(self.config.imu), self.config.coast, self.origin)
+            self.constants = imu.constants(self.bias_walk.of_noise(self.noise), self.config.coast, self.origin)
             for member in self.hypotheses.members:
                 member.filter.constants = self.constants
 

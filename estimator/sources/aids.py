@@ -14,6 +14,7 @@ from estimator.sources.air.drag import DragConfig
 from estimator.sources.air.wind import WindConfig
 from estimator.sources.attitude import attitude_aid
 from estimator.sources.baro import BaroConfig
+from estimator.sources.beacon import BeaconConfig
 from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
 from estimator.sources.heading import HeadingConfig
 from estimator.sources.landmark import landmark_aid
@@ -47,6 +48,7 @@ class SourcesConfig(msgspec.Struct, frozen=True, kw_only=True):
     baro: BaroConfig = BaroConfig()
     velocity_body: VelocityBodyConfig = VelocityBodyConfig()
     range: RangeConfig = RangeConfig()
+    beacon: BeaconConfig = BeaconConfig()
     airspeed: AirspeedConfig = AirspeedConfig()
     drag: DragConfig = DragConfig()
     wind: WindConfig = WindConfig()

@@ -280,25 +280,44 @@ class SourceState(msgspec.Struct, frozen=True):
     held_until_ns: int = _NEVER
     sums: tuple[float, ...] = ()
     drift_m_s: float = 0.0  # of odometry that has contradicted the IMU with nobody to decide: by so much it may be wrong
+    failed_ns: int = _NEVER  # first gate that failed since the last reading that was fused
+    is_refuted: bool = False  # gates failed for longer than hold_s, while positions confirmed the estimate
     spread_m: tuple[float, float] = (math.inf, 0.0)  # of odometry: smallest and largest sigma of late, fading since last_ns
 
     def arrive(self, rules: GateRules, t_ns: int, *, alone: bool) -> "SourceState":
-        """A measurement of t_ns comes in; alone: no other absolute source is active, so there is no independent source."""
+        """A measurement of t_ns comes in; alone: no other absolute source is active, so there is no independent source.
+
+        Alone, a sensor that has been refuted stays stopped: the estimate's covariance grows, until anything passes the gate.
+        """
         phase, passed, sums = self.phase, self.passed, self.sums
-        if t_ns > self.silent_ns or (phase is Phase.STOPPED and t_ns >= self.held_until_ns):
+        if alone and self.is_refuted:
+            phase = Phase.STOPPED
+        elif t_ns > self.silent_ns or (phase is Phase.STOPPED and t_ns >= self.held_until_ns):
             phase, passed, sums = Phase.STARTING, 0, ()
         if phase is Phase.STARTING and (passed >= rules.probation or (alone and t_ns >= self.held_until_ns)):
             phase = Phase.ACTIVE
         silent_ns = t_ns + round(rules.timeout_s * 1e9)
-        return SourceState(phase, t_ns, silent_ns, self.fused_ns, passed, self.held_until_ns, sums)
+        return SourceState(
+            phase,
+            t_ns,
+            silent_ns,
+            self.fused_ns,
+            passed,
+            self.held_until_ns,
+            sums,
+            failed_ns=self.failed_ns,
+            is_refuted=self.is_refuted,
+        )
 
     def phase_at(self, t_ns: int) -> Phase:
         """How far the source is trusted at t_ns, with nothing newer from it than this state knows of."""
         return Phase.STOPPED if t_ns > self.silent_ns else self.phase
 
-    def held(self, rules: GateRules, t_ns: int) -> "SourceState":
+    def held(self, rules: GateRules, t_ns: int, *, alone: bool = True) -> "SourceState":
         """A reading failed: one that passes soon after does so by chance, of a sensor that is stuck or late."""
-        return replace(self, phase=Phase.STOPPED, held_until_ns=t_ns + round(rules.hold_s * 1e9))
+        hold_ns, since_ns = round(rules.hold_s * 1e9), max(self.failed_ns, 0) or t_ns
+        is_refuted = self.is_refuted or (not alone and 0 < hold_ns < t_ns - since_ns)
+        return replace(self, phase=Phase.STOPPED, held_until_ns=t_ns + hold_ns, failed_ns=since_ns, is_refuted=is_refuted)
 
     def judge(
         self, rules: GateRules, t_ns: int, *, alone: bool, passed: bool, fused: bool, nu: Array, sigma: Array
@@ -307,7 +326,7 @@ class SourceState(msgspec.Struct, frozen=True):
 
         A drift is the source's only where an independent source agrees with the filter: alone, the filter may be what drifts.
         """
-        state = replace(self, fused_ns=t_ns) if fused else self
+        state = replace(self, fused_ns=t_ns, failed_ns=_NEVER, is_refuted=False) if fused else self
         if state.phase is Phase.STARTING:
             return replace(state, passed=state.passed + 1 if passed else 0)
         if rules.hold_s > 0 and fused and not alone:

@@ -1,6 +1,7 @@
 """MAVLink telemetry logs (.tlog: each message behind the time at which the ground station received it), by pymavlink.
 
     HIGHRES_IMU, else RAW_IMU, SCALED_IMU, SCALED_IMU2 (coarse: noted)  ->  /imu, /mag
+    SCALED_IMU2, SCALED_IMU3 at 20 Hz or more  ->  /imu2, /imu3
     GPS_RAW_INT, GPS2_RAW         ->  /gnss, /gnss/velocity, /gnss2, /gnss2/velocity            SCALED_PRESSURE  ->  /baro
     SIM_STATE                     ->  /truth: of ArduPilot's simulator
     LOCAL_POSITION_NED, ATTITUDE  ->  /truth where there is no SIM_STATE: the autopilot's own estimate, for reference only;
@@ -39,7 +40,7 @@ _GPS = ("fix_type", "lat", "lon", "alt", "eph", "epv", "vel", "cog", "alt_ellips
 _WHEELS = 16
 _TURN, _WAY, _Q = (tuple(f"{name}{k}" for k in range(n)) for name, n in (("angle", 3), ("position", 3), ("q", 4)))
 _FIELDS = {
-    "HIGHRES_IMU": _RAW, "RAW_IMU": _RAW, "SCALED_IMU": _RAW, "SCALED_IMU2": _RAW,
+    "HIGHRES_IMU": _RAW, "RAW_IMU": _RAW, "SCALED_IMU": _RAW, "SCALED_IMU2": _RAW, "SCALED_IMU3": _RAW,
     "GPS_RAW_INT": _GPS, "GPS2_RAW": _GPS,
     "SCALED_PRESSURE": ("press_abs",),
     "ATTITUDE": ("roll", "pitch", "yaw"),
@@ -59,6 +60,8 @@ _ARDUPILOT = 3  # MAV_AUTOPILOT_ARDUPILOTMEGA: its RAW_IMU is in mG and mrad/s
 _DELAY_S = {_ARDUPILOT: 0.2, 12: 0.11}  # what the autopilots (12: PX4) take by default for the age of a fix at its stamp
 _NOT_A_VEHICLE = 8  # MAV_AUTOPILOT_INVALID
 _IMUS = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "SCALED_IMU2")  # the best first
+_OTHER_IMUS = ("SCALED_IMU2", "SCALED_IMU3")
+_SLOWEST_IMU_NS = 50_000_000  # of another IMU, that can take over
 _UNKNOWN = 65535
 _UNIX_US = 1e14  # stamps above it count from 1970
 _FAR_US = 4e15  # beyond any date; a damaged stamp may be
@@ -117,6 +120,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
             *_attitude(tables),
             *_wheels(tables),
             imu,
+            *_other_imus(tables, imu, notes),
             *([truth] if truth else []),
         ),
         settings,
@@ -243,6 +247,26 @@ def _imu(source: Path, tables: Mapping[str, _Table], wanted: str, autopilot: int
         notes.append(f"{source.name}: IMU from {name}, in steps of 0.001 rad/s and 0.01 m/s^2; HIGHRES_IMU is better")
     notes += sensors.check_imu(gyro_b, accel_b, source.name) + sensors.check_rate(table.t_ns, source.name)
     return recording.imu(table.t_ns, table.arrived_ns, gyro_b, accel_b)
+
+
+def _other_imus(tables: Mapping[str, _Table], imu: Stream, notes: list[str]) -> list[Stream]:
+    """Those besides the one that leads; one that is the same, or too slow to take over, is none."""
+    streams: list[Stream] = []
+    for name in (n for n in _OTHER_IMUS if n in tables):
+        table = tables[name]
+        gyro_b = 1e-3 * table.vector("xgyro", "ygyro", "zgyro")
+        accel_b = _MILLI_G * table.vector("xacc", "yacc", "zacc")
+        if len(gyro_b) == len(imu) and np.array_equal(gyro_b, imu.columns[0]):
+            continue
+        if not (gyro_b.any() and accel_b.any()):
+            continue
+        if len(gyro_b) < 2 or np.median(np.diff(np.sort(table.t_ns))) > _SLOWEST_IMU_NS:
+            notes.append(f"another IMU ({name}) is too slow to take over: ask for it at 20 Hz or more (SRx_RAW_SENS)")
+            continue
+        streams.append(recording.imu(table.t_ns, table.arrived_ns, gyro_b, accel_b, f"/imu{len(streams) + 2}"))
+    if streams:
+        notes.append("other IMUs (SCALED_IMU2, 3) are /imu2 and so on; [imu] others_rpy_deg and others_noise say how they differ")
+    return streams
 
 
 def _has_ellipsoid(table: _Table) -> Array:

@@ -30,6 +30,7 @@ class SensorTopics(msgspec.Struct, frozen=True):
         _Topics, Meta(description="topics of TwistWithCovarianceStamped, through the air, FLU, linear.x; none: none is used")
     ] = ()
     range: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/Range, downwards; none: none is used")] = ()
+    beacon: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/Range, one for each beacon; none: none is used")] = ()
     heading: Annotated[
         _Topics, Meta(description="topics of sensor_msgs/msg/Imu whose orientation is that of two antennas; none: none is used")
     ] = ()
@@ -140,6 +141,7 @@ SENSORS: Final = {  # kind -> its message
     "velocity_body": Sensor("/velocity_body", schemas.TWIST, _velocity, _velocity_message),  # m/s
     "airspeed": Sensor("/airspeed", schemas.TWIST, _airspeed, _airspeed_message),  # m/s along the nose
     "range": Sensor("/range", schemas.RANGE, _range, _range_message),  # m; infinite without an echo
+    "beacon": Sensor("/beacon/1", schemas.RANGE, _range, _range_message),  # m
     "heading": Sensor("/heading", schemas.IMU, _azimuth, _azimuth_message),  # rad, clockwise from north
     "magnetometer": Sensor("/mag", schemas.MAGNETIC_FIELD, _field, _field_message),  # tesla
 }

@@ -18,6 +18,7 @@ from models.imu import ImuNoise
 from models.messages import Array, GnssFix, GnssVelocity, ImuSample, Input, PoseFix, Tick
 from models.sim.aids import Gnss, PoseFixes, make_pose_fixes, receive_gnss
 from models.sim.air import Airspeed, Wind, blow, read_airspeed
+from models.sim.beacons import Beacons, measure_ranges, topic_of
 from models.sim.cameras import Cameras
 from models.sim.faults import AnyFault, in_order
 from models.sim.ranges import Rate
@@ -49,6 +50,7 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     cameras: Cameras | None = None
     wind: Wind | None = None
     airspeed: Airspeed | None = None
+    beacons: Beacons | None = None
     faults: tuple[AnyFault, ...] = ()
 
     def __post_init__(self) -> None:
@@ -100,7 +102,7 @@ class Simulation:
 
 def simulate(scenario: Scenario, seed: int) -> Simulation:
     """One run of the scenario. Raises ValueError for a fault that asks for what the scenario does not have."""
-    for_course, for_imu, for_gnss, for_fixes, for_air, for_others = np.random.default_rng(seed).spawn(6)
+    for_course, for_imu, for_gnss, for_fixes, for_air, for_others, for_beacons = np.random.default_rng(seed).spawn(7)
     origin = Origin(*scenario.origin) if scenario.geographic else None
     air = blow(scenario.wind, for_air) if scenario.wind else None
     trajectory = build(scenario.vehicle, scenario.duration_s, for_course, air)
@@ -116,6 +118,8 @@ def simulate(scenario: Scenario, seed: int) -> Simulation:
         aids += fixes
     if scenario.airspeed:
         aids += read_airspeed(scenario.airspeed, air, t_ns, EPOCH_NS, motion.v_n, motion.R_nb, for_air)
+    if scenario.beacons:
+        aids += measure_ranges(scenario.beacons, t_ns, EPOCH_NS, motion.p_n, motion.R_nb, for_beacons)
     for k, imu in enumerate(scenario.other_imus):
         at_ns = _stamps(imu.rate_hz, scenario.duration_s)
         there = trajectory.at(np.asarray((at_ns - EPOCH_NS) * 1e-9, dtype=np.float64))
@@ -169,6 +173,10 @@ def _config_toml(scenario: Scenario, noise: ImuNoise) -> str:
         lines += [f'pose_fix = "{_topic(PoseFix)}"']
     if scenario.airspeed:
         lines += ['airspeed = "/airspeed"']
+    if scenario.beacons:
+        lines += [f"beacon = {[topic_of(k) for k in range(len(scenario.beacons.at_n_m))]}".replace("'", '"')]
+        lines += ["", "[beacon]", f"at_n_m = {[list(at) for at in scenario.beacons.at_n_m]}"]
+        lines += [f"antenna_b_m = {list(scenario.beacons.antenna_b_m)}"]
     if isinstance(scenario.vehicle, Multirotor) and scenario.vehicle.drag_1_s:
         lines += ["", "[drag]", "enabled = true", f"momentum_1_s = {scenario.vehicle.drag_1_s!r}"]
     if scenario.gnss:

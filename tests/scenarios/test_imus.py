@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from estimator.config import parse
 from estimator.fusion import Fusion, FusionConfig
@@ -144,11 +145,44 @@ def test_given_one_of_three_contradicts_the_others_then_it_is_the_wrong_one(jour
     _check(_run(messages, _config("/imu", "/imu2", "/imu3")), journey, BIASED.says)
 
 
-def test_given_two_contradict_each_other_then_it_is_said_and_nothing_changes(journey: Ride) -> None:
-    messages = BIASED.of([*journey.messages, *_other(journey, "/imu2", 1)])
-    run = _run(messages, _config("/imu", "/imu2"))
+def test_given_two_contradict_each_other_in_the_dark_then_it_is_said_and_nothing_changes(journey: Ride) -> None:
+    messages = [m for m in _lit([*journey.messages, *_other(journey, "/imu2", 1)]) if _seconds(m.t_ns) < DARK_S[1]]
+    run = _run(BIASED.of(messages), _config("/imu", "/imu2"))
     assert not [s for s in run.statuses if s.kind == "imu"]
     assert "contradict each other" in run.health[-1].detail
+
+
+@pytest.mark.parametrize("wrong", ["/imu", "/imu2"])
+def test_given_two_contradict_each_other_then_positions_decide(journey: Ride, wrong: str) -> None:
+    """Before, the estimate was given up and began again with the IMU that had failed: 74 m off, with a claim of 10 m."""
+    messages = [*journey.messages, *_other(journey, "/imu2", 1)]
+    other = "/imu2" if wrong == "/imu" else "/imu"
+    swapped = {"/imu": wrong, "/imu2": other}
+    faulty = BIASED.of([replace(m, topic=swapped[m.topic]) if isinstance(m, ImuSample) else m for m in messages])
+    run = _run([replace(m, topic=swapped[m.topic]) if isinstance(m, ImuSample) else m for m in faulty], _config("/imu", "/imu2"))
+    changes = [s for s in run.statuses if s.kind == "imu"]
+    assert [s.topic for s in changes] == (["/imu2"] if wrong == "/imu" else [])
+    if changes:
+        assert "and the positions" in changes[0].detail
+        assert _seconds(run.health[-1].t_ns) > FAULT_S + 10.0
+    later = within(run.estimates, FAULT_S + 2.0, END_S, every=10)
+    for part in (E.P, E.V, E.THETA):
+        assert _nees(later, journey, part) < 4.0
+    assert np.linalg.norm(error(later[-1], journey.truth)[E.P]) < 2.5
+
+
+def test_given_another_imu_with_a_noise_of_its_own_then_the_covariance_grows_by_that(journey: Ride) -> None:
+    """Fifty times the noise of the first: the velocity in the dark is known worse once the second leads."""
+    messages = FAULTS["stuck"].of(_lit([*journey.messages, *_other(journey, "/imu2", 1)]))
+    config = parse('[inputs]\nimu = ["/imu", "/imu2"]\n[imu]\nothers_noise = [50.0]\n').fusion()
+    assert config.imu_factors == (50.0,)
+    ends = []
+    for factors in ((), config.imu_factors):
+        run = _run(messages, replace(_config("/imu", "/imu2"), imu_factors=factors))
+        before, end = (within(run.estimates, t, t + 0.5)[0] for t in (FAULT_S - 1.0, DARK_S[1] - 0.5))
+        ends.append((before.covariance.diagonal()[E.V].max(), end.covariance.diagonal()[E.V].max()))
+    assert ends[0][0] == ends[1][0]
+    assert ends[1][1] > 2.0 * ends[0][1]
 
 
 def test_given_two_sound_imus_then_the_estimate_is_that_of_the_first(journey: Ride) -> None:

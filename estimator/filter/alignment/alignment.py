@@ -33,6 +33,7 @@ from models.state import X
 
 NEVER = -(2**62)
 NO_POSITION = "waiting for a position"
+WRONG_SENSOR = "its heading does not agree with the motion: wrong axes or mounting, or iron near it"
 AT_REST = "at rest: the heading shows when the vehicle moves"
 _NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
 _FEWEST_SAMPLES = 5  # of IMU, to level with
@@ -45,6 +46,7 @@ _BESIDE_NS = 5_000_000_000
 _WRONG_NS = 30_000_000_000  # a heading that motion has refuted is not asked for
 _FRESH_NS = 2_000_000_000  # a prior attitude is of now
 _XYZ = 3
+_REFUTED = 2  # positions in a row
 _MOVED_SIGMA = 4.0  # positions that differ by more are of a vehicle that moves
 
 
@@ -79,11 +81,12 @@ class Alignment:
         self._gap_ns = round(config.coast.gap_s * 1e9)
         self.t_ns = NEVER
         self.origin = config.origin
-        self.constants = imu.constants(config.imu, config.coast, config.origin)
+        self.noise = config.imu  # of the IMU that leads
+        self.constants = imu.constants(self.noise, config.coast, config.origin)
         self.hypotheses: Hypotheses | None = None
         self.is_aligned = False
         self.still: Still | None = None
-        self.prior: tuple[int, Pose] | None = None
+        self.prior: tuple[int, Pose, str] | None = None  # and its topic
         self.sensed: tuple[Aid, Heading] | None = None  # the newest heading that was measured, until it is aligned
         self.without_sensor: WithoutSensor | None = None
         self.wrong_until_ns: dict[str, int] = {}  # topics whose heading motion has refuted
@@ -93,6 +96,7 @@ class Alignment:
         self.stretch: Stretch | None = None
         self.contradiction = NO_CONTRADICTION
         self.given_up = 0  # how often a filter was
+        self.failed: dict[str, int] = {}  # gates in a row, of sources of positions and their velocities; never changed in place
         self.variance_factor = NO_EXCESS
         self.direction: tuple[float, ...] = ()  # of the newest innovation of an absolute source during the alignment
         self.conflicts = Conflicts()
@@ -106,6 +110,11 @@ class Alignment:
         if self.hypotheses is not None or self.resting is None:  # nearly every call
             return self.hypotheses
         return self.resting.bank
+
+    @property
+    def is_refuted(self) -> bool:
+        """No hypothesis foresaw the last positions, or a source of positions has failed its gate several times in a row."""
+        return self.contradiction.unforeseen >= _REFUTED or max(self.failed.values(), default=0) >= _REFUTED
 
     @property
     def shown(self) -> Hypotheses | None:
@@ -146,17 +155,19 @@ class Alignment:
         """A prior waits for the position to begin with. Its errors repeat, so once begun it is no news."""
         if self.hypotheses is not None and not self._seeks_heading:
             return Decision(Reason.THINNED, detail="for the alignment alone")
-        self.prior = (aid.t_ns, z) if isinstance(z, Pose) else None
+        if aid.t_ns < self.wrong_until_ns.get(aid.topic, NEVER):
+            return Decision(Reason.STOPPED, detail=WRONG_SENSOR)
+        self.prior = (aid.t_ns, z, aid.topic) if isinstance(z, Pose) else None
         return Decision(Reason.ALIGNING, detail=NO_POSITION)
 
-    def _note_course(self, z: Velocity, samples: ImuBuffer) -> None:
+    def _note_course(self, aid: Aid, z: Velocity, samples: ImuBuffer) -> None:
         """The course is a prior where nobody gives a better one."""
         stretch = self._stretch(samples) if self.config.initialise.course_sigma_deg else None
         if stretch is None or (self.prior is not None and self.t_ns - self.prior[0] <= _FRESH_NS):
             return
         at = initialise.level(self.t_ns, stretch, self.config.initialise, may_rest=False)
         course = heading.from_course(z, at, self.config.initialise)
-        self.prior = (self.t_ns, course) if course else None
+        self.prior = (self.t_ns, course, aid.topic) if course else None
 
     def _wait_for_heading(self, aid: Aid, z: Measurement, gyro_b: Array) -> None:
         """Keep what may be published without a heading: the bank that seeks it, or at rest one that does not."""
@@ -308,13 +319,15 @@ class Alignment:
         """Whether there is an attitude to begin with: fresh, not against gravity, and none that a search has ruled out."""
         if self.prior is None or self.t_ns - self.prior[0] > _FRESH_NS:
             return False
-        since_ns, given = self.prior
+        since_ns, given, topic = self.prior
         prior = Pose(given.z_n, samples.turned(given.q_nb_wxyz, since_ns, self.t_ns), given.noise, given.rows)
         if self.hypotheses is not None and not initialise.agrees(self.hypotheses, prior):
             return False
         begun = initialise.start_from_attitude(self.t_ns, z, at, prior, self.constants, self.config.initialise)
         if begun is not None:
             self.hypotheses, self.stretch = begun, Stretch.of(begun.lead)
+            if at.still:  # nothing has shown yet whether its heading is right
+                self.without_sensor = WithoutSensor(*self._all_headings(z, at), topic, self.t_ns, z)
         return begun is not None
 
     def _start_from_sensed(self, z: Position | Pose, at: Level, samples: ImuBuffer) -> bool:
@@ -344,7 +357,7 @@ class Alignment:
             known = self.is_aligned and initialise.aligned(beside.bank, config)
             if beside.is_shown or (known and beside.disagrees(self.hypotheses.lead)):
                 self.hypotheses, self.is_aligned, self.shows_unaligned = beside.bank, False, self.shown is not None
-                self.stretch, self.sensed, self.without_sensor = beside.stretch, None, None
+                self.stretch, self.sensed, self.prior, self.without_sensor = beside.stretch, None, None, None
                 self.wrong_until_ns = self.wrong_until_ns | {beside.topic: self.t_ns + _WRONG_NS}
             elif known and beside.knows_heading:
                 self.without_sensor = None

@@ -5,7 +5,7 @@ The estimator integrates one stream. The choice stands before it and hands on th
     silent         it sends nothing usable for silent_s while another one does (samples that are not finite are not usable)
     stuck          all of its axes read the same for stuck_s while another one changes
     held           one axis reads the same for stuck_s, as at the end of its range, and another IMU contradicts it
-    contradicted   two others agree with each other, and not with it
+    contradicted   two others agree with each other, and not with it; or one does not, and positions contradict it, too
 
 Two means over 0.2 s contradict each other where they differ by more than the threshold beyond the difference d of before:
 
@@ -13,15 +13,15 @@ Two means over 0.2 s contradict each other where they differ by more than the th
 
 The share is for scale, misalignment and the distance between the two. s_12 is the standard error of the difference, as the
 samples scatter: vibration that a slow log aliases is another one in each IMU. With two IMUs a contradiction shows that one is
-wrong, but not which: it is reported, and nothing is changed.
+wrong, but not which: it is reported, and nothing is changed until a position is beyond the gate of every hypothesis.
 
 The new IMU has biases of its own. With d the mean difference of up to 20 s before the fault and s its standard deviation,
 
     b <- b + d,    P_bb <- P_bb + diag(max(s, floor)^2)
 
 Where too little is known, d = 0 and s is sqrt(2) times the sigma of biases at the start. The samples of the failed IMU since the
-fault began are replaced by those of the new one. The choice depends on the order of arrival of the IMUs' samples alone, so a
-replay makes the same one, and no measurement that comes late changes it.
+fault began are replaced by those of the new one. The choice depends on the order of arrival, so a replay makes the same one. No
+measurement that comes late changes it, but for a position that decides between two.
 """
 
 import math
@@ -43,6 +43,8 @@ _BEFORE_BLOCKS = 5  # 1 s before the fault, which may have begun unseen
 _SLOW_BLOCKS = 10  # 2 s: in which what a motion makes of the difference stays the same
 _AGAINST = 2  # blocks in a row that contradict: no jolt does
 _AXES = 6
+_WHERE_REFUTED = 0.25  # of the thresholds, where positions contradict the estimate
+_UNSEEN_NS = 4_000_000_000  # for so long the fault may have been too small to be seen
 _DOUBT_NS = 60_000_000_000  # a contradiction is reported for so long
 _RULES = GateRules()
 _AGAIN_NS = 10_000_000_000  # an IMU that has failed is not chosen again for so long
@@ -71,10 +73,11 @@ class TakeOver(NamedTuple):
 
 
 class ImuAid(Aid, frozen=True, eq=False, kw_only=True):
-    """The change of the IMU, in its place among the measurements."""
+    """The change of the IMU, in its place among the measurements; factor: on the noise of the first."""
 
     shift: Array
     sigma: Array
+    factor: float
 
 
 class Choice:
@@ -94,6 +97,7 @@ class Choice:
         self._checked_block = -1
         self._again_ns.clear()
         self._doubt: tuple[int, str] = -_DOUBT_NS, ""
+        self._apart_ns: int | None = None  # since then the leader and another contradict each other
 
     def remark(self, t_ns: int) -> str:
         """For Health: why another IMU than the first leads, and which contradict each other."""
@@ -120,8 +124,11 @@ class Choice:
             return "silent"
         return "standby" if self._is_healthy(topic, t_ns) else "failed"
 
-    def note(self, sample: ImuSample) -> TakeOver | None:
-        """Take a usable sample of any IMU; the change, where its leader has failed."""
+    def note(self, sample: ImuSample, *, is_refuted: bool = False) -> TakeOver | None:
+        """Take a usable sample of any IMU; the change, where its leader has failed.
+
+        is_refuted: positions contradict the estimate.
+        """
         stream = self._streams.get(sample.topic)
         if not self.is_used or stream is None:
             return None
@@ -129,9 +136,9 @@ class Choice:
         stream.add(sample)
         if sample.topic == self.leader:
             return None
-        return self._check(sample.t_ns)
+        return self._check(sample.t_ns, is_refuted=is_refuted)
 
-    def _check(self, t_ns: int) -> TakeOver | None:
+    def _check(self, t_ns: int, *, is_refuted: bool) -> TakeOver | None:
         lead, config = self._streams[self.leader], self._config
         others = [x for x in self._topics if x != self.leader and self._is_healthy(x, t_ns)]
         if not others or self._first_ns is None:
@@ -145,17 +152,25 @@ class Choice:
         if (block := t_ns // BLOCK_NS) == self._checked_block:
             return None
         self._checked_block = block
-        against = [x for x in others if self._contradict(self.leader, x)]
+        share = _WHERE_REFUTED if is_refuted else 1.0
+        against = [x for x in others if self._contradict(self.leader, x, share)]
         if held and against:
             return self._take_over(
                 against[0], lead.held_since_ns(held), f"{self.leader} holds a value: stuck or out of range", t_ns
             )
         agreed = [x for x in against if any(x != y and not self._contradict(x, y) for y in against)]
         if agreed:
-            since_ns = (block - _AGAINST - 1) * BLOCK_NS
+            since_ns = t_ns - _UNSEEN_NS if is_refuted else (block - _AGAINST - 1) * BLOCK_NS
             return self._take_over(agreed[0], since_ns, f"{self.leader} contradicts the others", t_ns)
-        if against:
-            self._doubt = t_ns, f"{self.leader} and {against[0]} contradict each other: one of them is wrong"
+        if not against:
+            self._apart_ns = None
+            return None
+        begun_ns = (block - _AGAINST - 1) * BLOCK_NS
+        self._apart_ns = begun_ns if self._apart_ns is None else self._apart_ns
+        if is_refuted:
+            since_ns = min(self._apart_ns, t_ns - _UNSEEN_NS)
+            return self._take_over(against[0], since_ns, f"{self.leader} contradicts {against[0]} and the positions", t_ns)
+        self._doubt = t_ns, f"{self.leader} and {against[0]} contradict each other: one of them is wrong"
         return None
 
     def _is_healthy(self, topic: str, t_ns: int) -> bool:
@@ -166,8 +181,8 @@ class Choice:
     def _is_heard(self, topic: str, t_ns: int) -> bool:
         return t_ns - self._streams[topic].newest_ns <= self._config.silent_s * 1e9
 
-    def _contradict(self, one: str, other: str) -> bool:
-        """Whether the last blocks of two IMUs differ by more than they did before."""
+    def _contradict(self, one: str, other: str, share: float = 1.0) -> bool:
+        """Whether the last blocks of two IMUs differ by more than they did before, and by that share of the threshold."""
         first, second, config = self._streams[one], self._streams[other], self._config
         blocks, differences = first.blocks(second)
         if len(blocks) < _AGAINST:
@@ -179,7 +194,7 @@ class Choice:
             variance = variance + second.mean(block)[1]
             for part, threshold in ((_GYRO, config.gyro_threshold), (_ACCEL, config.accel_threshold)):
                 expected = _SHARE * np.linalg.norm(mean[part]) + _ERRORS * math.sqrt(variance[part].sum())
-                if np.linalg.norm(difference[part]) > threshold + expected:
+                if np.linalg.norm(difference[part]) > share * threshold + expected:
                     break
             else:
                 return False
@@ -194,12 +209,12 @@ class Choice:
             floor = np.repeat([self._config.gyro_sigma, self._config.accel_sigma], 3)
             shift = known.mean(axis=0)
             sigma = np.maximum(floor, known.std(axis=0) * np.sqrt(_SLOW_BLOCKS / n))
-        self._again_ns[self.leader] = t_ns + _AGAIN_NS
+        self._again_ns[self.leader], self._apart_ns = t_ns + _AGAIN_NS, None
         self.leader, self.why = topic, f"{why}; {topic} leads"
         return TakeOver(topic, since_ns, stream.after(since_ns), self.why, shift, sigma)
 
 
-def imu_aid(change: TakeOver, t_ns: int, arrived_ns: int, unknown: tuple[float, float]) -> ImuAid:
+def imu_aid(change: TakeOver, t_ns: int, arrived_ns: int, unknown: tuple[float, float], factor: float = 1.0) -> ImuAid:
     """The change as what the tracker goes through at t_ns. unknown: sigma of gyro and accelerometer bias at the start."""
     shift, sigma = change.shift, change.sigma
     if shift is None:
@@ -217,4 +232,5 @@ def imu_aid(change: TakeOver, t_ns: int, arrived_ns: int, unknown: tuple[float, 
         detail=change.why,
         shift=shift,
         sigma=sigma,
+        factor=factor,
     )

@@ -12,6 +12,7 @@ from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega
 from pymavlink.dialects.v20 import common as mavlink2
 
+from estimator.config import parse
 from logs.importers import tlog
 from logs.importers.recording import ImportOptions, Recording, Truth
 from logs.store.reader import LogError
@@ -166,6 +167,28 @@ def test_highres_imu_of_mavlink_2(tmp_path: Path) -> None:
     assert sorted(m.t_ns - got[0].t_ns for m in got) == [0, 10_000_000, 20_000_000, 30_000_000]
     assert sorted((m.arrived_ns - m.t_ns) // 1000 for m in got) == [0, 0, 10_000, 70_000]
     assert not any("coarse" in note or "IMU from" in note for note in recording.notes)
+
+
+@pytest.mark.parametrize(("period_us", "count"), [(20_000, 50), (200_000, 5)], ids=["50 Hz", "5 Hz"])
+def test_other_imus_are_imported_where_they_are_fast_enough_to_take_over(tmp_path: Path, period_us: int, count: int) -> None:
+    ground = Ground(autopilot=3)
+    for k in range(50):
+        ground.imu(k * 20_000, 5_000_000 + k * 20_000)
+    for k in range(count):
+        at = k * period_us + 1000
+        ground.hear(at, mavlink2.MAVLink_scaled_imu2_message(5000 + at // 1000, 0, 0, -1000, 10, 20, -30, 1, 2, 3))
+        ground.hear(at, mavlink2.MAVLink_scaled_imu3_message(5000 + at // 1000, 5, 0, -1000, 40, 50, 60, 1, 2, 3))
+    recording = tlog.read(ground.write(tmp_path))
+    got = {topic: [m for m in recording if isinstance(m, ImuSample) and m.topic == topic] for topic in ("/imu2", "/imu3")}
+    if period_us > 50_000:
+        assert not any(got.values())
+        assert sum("too slow to take over" in note for note in recording.notes) == 2
+        return
+    assert {topic: len(samples) for topic, samples in got.items()} == {"/imu2": 50, "/imu3": 50}
+    np.testing.assert_allclose(got["/imu2"][7].gyro_b, [0.01, 0.02, -0.03])
+    np.testing.assert_allclose(got["/imu3"][7].accel_b, [5 * 9.80665e-3, 0.0, -9.80665])
+    config = parse(recording.settings.toml("tlog", tmp_path, ("/imu", "/imu2", "/imu3")))
+    assert config.inputs.imu == ("/imu", "/imu2", "/imu3")
 
 
 def test_accuracies_and_ellipsoid_height_of_mavlink_2(tmp_path: Path) -> None:

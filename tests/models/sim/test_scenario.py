@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from models.frames import Origin
-from models.messages import GnssFix, GnssVelocity, ImuSample, Input, PoseFix, Tick
+from models.messages import GnssFix, GnssVelocity, ImuSample, Input, PoseFix, Reading, Tick
 from models.sim.aids import Gnss, PoseFixes
+from models.sim.beacons import Beacons
 from models.sim.faults import ImuDropout, SpoofJump
 from models.sim.scenario import EPOCH_NS, Scenario, simulate
 from models.sim.scenario_file import loads
@@ -169,3 +170,18 @@ def test_a_second_imu_is_on_a_topic_of_its_own_has_errors_of_its_own_and_changes
     assert 1e-4 < np.abs(off.mean(axis=0)).max() < 0.1  # a turn-on bias of 0.5 deg/s
     assert np.abs(off.mean(axis=0) - truth.gyro_bias[at].mean(axis=0)).max() > 1e-4
     assert 'imu = ["/imu", "/imu2"]' in simulation.config_toml
+
+
+def test_beacons_are_asked_in_turn_within_reach_and_the_configuration_names_them() -> None:
+    beacons = Beacons(at_n_m=((30.0, 0.0, 0.0), (0.0, 500.0, 0.0)), rate_hz=5.0, sigma_m=0.1, slow_sigma_m=0.0)
+    with_them = simulate(msgspec.structs.replace(FULL, beacons=beacons), 1)
+    ranges = [m for m in with_them.messages if isinstance(m, Reading)]
+    assert {m.topic for m in ranges} == {"/beacon/1"}  # the other is out of reach
+    assert len(ranges) == pytest.approx(100, abs=1)
+    rows = np.searchsorted(with_them.truth.t_ns, [m.t_ns for m in ranges])
+    true = np.linalg.norm(with_them.truth.p_n[rows] - beacons.at_n_m[0], axis=1)
+    assert np.std([m.values[0] for m in ranges] - true) == pytest.approx(0.1, rel=0.3)
+    config = tomllib.loads(with_them.config_toml)
+    assert config["inputs"]["beacon"] == ["/beacon/1", "/beacon/2"]
+    assert config["beacon"]["at_n_m"][1] == [0.0, 500.0, 0.0]
+    assert text(simulate(FULL, 1).messages) == text([m for m in with_them.messages if not isinstance(m, Reading)])

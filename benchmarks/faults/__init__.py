@@ -1,0 +1,1 @@
+"""Faults of the optional sensors: what each costs, and what is reported."""
