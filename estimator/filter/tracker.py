@@ -240,7 +240,7 @@ class Tracker(Alignment):
         self._check_sensor(aid, z, samples, gyro_b)
         if self.hypotheses is None or not self.is_aligned:
             if isinstance(z, Velocity):
-                self._note_course(aid, z, samples)
+                self._note_course(z, samples)
             decision = self._align(aid, z, samples, gyro_b)
             if self.hypotheses is not None:
                 state = replace(state, fused_ns=aid.t_ns)

@@ -86,7 +86,7 @@ class Alignment:
         self.hypotheses: Hypotheses | None = None
         self.is_aligned = False
         self.still: Still | None = None
-        self.prior: tuple[int, Pose, str] | None = None  # and its topic
+        self.prior: tuple[int, Pose, str] | None = None  # and its topic; "": the course
         self.sensed: tuple[Aid, Heading] | None = None  # the newest heading that was measured, until it is aligned
         self.without_sensor: WithoutSensor | None = None
         self.wrong_until_ns: dict[str, int] = {}  # topics whose heading motion has refuted
@@ -160,14 +160,14 @@ class Alignment:
         self.prior = (aid.t_ns, z, aid.topic) if isinstance(z, Pose) else None
         return Decision(Reason.ALIGNING, detail=NO_POSITION)
 
-    def _note_course(self, aid: Aid, z: Velocity, samples: ImuBuffer) -> None:
+    def _note_course(self, z: Velocity, samples: ImuBuffer) -> None:
         """The course is a prior where nobody gives a better one."""
         stretch = self._stretch(samples) if self.config.initialise.course_sigma_deg else None
         if stretch is None or (self.prior is not None and self.t_ns - self.prior[0] <= _FRESH_NS):
             return
         at = initialise.level(self.t_ns, stretch, self.config.initialise, may_rest=False)
         course = heading.from_course(z, at, self.config.initialise)
-        self.prior = (self.t_ns, course, aid.topic) if course else None
+        self.prior = (self.t_ns, course, "") if course else None
 
     def _wait_for_heading(self, aid: Aid, z: Measurement, gyro_b: Array) -> None:
         """Keep what may be published without a heading: the bank that seeks it, or at rest one that does not."""
@@ -326,7 +326,7 @@ class Alignment:
         begun = initialise.start_from_attitude(self.t_ns, z, at, prior, self.constants, self.config.initialise)
         if begun is not None:
             self.hypotheses, self.stretch = begun, Stretch.of(begun.lead)
-            if at.still:  # nothing has shown yet whether its heading is right
+            if at.still and topic:  # nothing has shown yet whether its heading is right
                 self.without_sensor = WithoutSensor(*self._all_headings(z, at), topic, self.t_ns, z)
         return begun is not None
 
