@@ -63,7 +63,7 @@ class Panel:
         at.set_aspect("equal")
         at.set_xticks([])
         at.set_yticks([])
-        at.set_title("where it is, and its 95 % radius", fontsize=9)
+        at.set_title("position and 95 % radius", fontsize=9)
 
     def _draw_error(self, at: Any, collected: Collected) -> None:
         outages = find_outages(collected.aids, collected.health, collected.estimate, 5.0)

@@ -116,7 +116,7 @@ def summary(outcomes: Iterable[Outcome]) -> list[Row]:
 
 def table(rows: Iterable[Row]) -> Table:
     columns = (
-        "set", "path", "images", "trials", "accepted", "at once", "within 2 m", "beyond 2 m", "sure to 2 m", "and beyond",
+        "set", "path", "images", "trials", "accepted", "at once", "within 2 m", "beyond 2 m", "known to 2 m", "and beyond",
         "median m", "95 % m", "worst m", "cpu s",
     )  # fmt: skip
     cells = [

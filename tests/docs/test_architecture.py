@@ -1,6 +1,7 @@
 """The tree keeps its rules, and the drawing of its layers is that of the import contracts."""
 
 import ast
+import re
 import tomllib
 from pathlib import Path
 
@@ -46,3 +47,23 @@ def test_tests_mirror_the_tree() -> None:
         if f.relative_to(ROOT).parts[0] == "tests" and f.relative_to(ROOT).parts[1:2] in [(p,) for p in PACKAGES]
     ]
     assert [_name(f) for f in of_packages if not (ROOT / f.relative_to(ROOT / "tests")).is_dir()] == []
+
+
+def test_the_page_names_files_that_exist() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    roots = (
+        ROOT,
+        ROOT / "estimator",
+        ROOT / "logs" / "wire",
+        ROOT / "estimator" / "sources",
+        ROOT / "estimator" / "service" / "mavlink",
+    )
+    named = re.findall(r"`([a-z_0-9/]+(?:\.py|/))`", page)
+    assert len(named) > 30
+    assert [path for path in named if not any((root / path).exists() for root in roots)] == []
+
+
+def test_the_page_is_one_page() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    assert len(page) < 4500  # beside the drawing, on A4
+    assert page.count("![") == 1

@@ -3,6 +3,7 @@
 import struct
 import time
 from collections.abc import Iterable
+from collections.abc import Set as AbstractSet
 from contextlib import closing
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -63,8 +64,7 @@ def ask(config: MavlinkConfig, folder: Path, names: dict[int, tuple[str, ...]]) 
         for _ in range(_ROUNDS):
             talk.greet()
             talk.ask_for(sorted(wanted - talk.parameters.keys()))
-            talk.listen(_ROUND_S)
-            if wanted <= talk.parameters.keys() and talk.version and talk.origin:
+            if talk.listen(_ROUND_S, wanted):
                 break
         return Answers(talk.autopilot, talk.version, talk.parameters, talk.origin)
 
@@ -103,14 +103,16 @@ class _Talk:
                 self.listen(_PAUSE_S)
             self._say(mavlink.MAVLink_param_request_read_message(system, component, name.encode(), -1))
 
-    def listen(self, seconds: float) -> None:
-        """Take what comes."""
-        end = time.monotonic() + seconds
-        while (left_s := end - time.monotonic()) > 0.0:
+    def listen(self, seconds: float, wanted: AbstractSet[str] | None = None) -> bool:
+        """Take what comes. With wanted parameters: until they, version and origin are there, and whether they are."""
+        end, complete = time.monotonic() + seconds, False
+        while not complete and (left_s := end - time.monotonic()) > 0.0:
             heard = self._endpoint.receive(left_s)
             for message in self._in.messages(heard.data, whole=self._endpoint.whole) if heard else ():
                 self._peer = heard.sender
                 self._take(message)
+            complete = wanted is not None and wanted <= self.parameters.keys() and bool(self.version and self.origin)
+        return complete
 
     def _take(self, message: Any) -> None:
         kind = message.get_type()

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Final
 
 from calib.errors import CalibrationError
-from calib.files.formats import load_cameras
 from estimator.config import Config
 from estimator.service.log.recovery import FolderError, claim
 from estimator.service.mavlink.config import Serial, address_of, signing_key
@@ -56,6 +55,8 @@ def _cameras(config: Config, folder: Path) -> Iterator[Check]:
         yield judge("vision", "off", warn=True, advice=advice)
     if not config.rig.file or not (folder / config.rig.file).is_file():
         return
+    from calib.files.formats import load_cameras  # noqa: PLC0415  (OpenCV: an installation without cameras has none)
+
     try:
         rig = load_cameras(folder / config.rig.file)
     except CalibrationError as error:

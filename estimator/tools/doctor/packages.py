@@ -14,6 +14,7 @@ EXTRA_OF: Final = {
     "matplotlib": "tools", "PIL": "tools", "pyulog": "tools", "pandas": "export", "pyarrow": "export", "pyogrio": "geo",
     "pyproj": "geo", "foxglove": "live", "dask": "cluster", "distributed": "cluster",
 }  # fmt: skip
+_CAMERAS: Final = "this needs OpenCV, which an installation without cameras leaves out: pip install opencv-python-headless"
 
 
 def clashes() -> list[str]:
@@ -44,4 +45,4 @@ def explain(error: ImportError) -> str | None:
         return f"{found[0]}: rename or uninstall it, or take it off PYTHONPATH; best is an environment of its own (uv tool, venv)"
     if top in EXTRA_OF:
         return f"this needs {top}, which is not installed: pip install 'landfix[{EXTRA_OF[top]}]'"
-    return None
+    return _CAMERAS if top == "cv2" else None

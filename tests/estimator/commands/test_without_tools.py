@@ -23,13 +23,16 @@ main()
 """
 
 
-def blocked(*args: object) -> list[str]:
-    return [sys.executable, "-c", BLOCKED, *map(str, args)]
+WITHOUT_CAMERAS = BLOCKED.replace("sys.modules.update", 'sys.modules["cv2"] = None; sys.modules.update')
 
 
-def run(*args: object, cwd: Path | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
+def blocked(*args: object, code: str = BLOCKED) -> list[str]:
+    return [sys.executable, "-c", code, *map(str, args)]
+
+
+def run(*args: object, cwd: Path | None = None, code: str = BLOCKED, **environment: str) -> subprocess.CompletedProcess[str]:
     environment = os.environ | environment
-    return subprocess.run(blocked(*args), capture_output=True, text=True, check=False, cwd=cwd, env=environment)
+    return subprocess.run(blocked(*args, code=code), capture_output=True, text=True, check=False, cwd=cwd, env=environment)
 
 
 def test_doctor_and_replay_need_no_tools(flight: Path, tmp_path: Path) -> None:
@@ -40,11 +43,25 @@ def test_doctor_and_replay_need_no_tools(flight: Path, tmp_path: Path) -> None:
     assert run("evaluate", tmp_path / "e.mcap").returncode == 0
 
 
-def test_the_daemon_needs_no_tools(tmp_path: Path) -> None:
+def test_without_cameras_nothing_needs_opencv(flight: Path, tmp_path: Path) -> None:
+    config = flight.with_suffix(".toml")
+    for args in (["doctor", flight, "-c", config], ["replay", flight, "-o", tmp_path / "e.mcap", "-c", config]):
+        done = run(*args, code=WITHOUT_CAMERAS)
+        assert done.returncode == 0, done.stderr
+    assert run("evaluate", tmp_path / "e.mcap", code=WITHOUT_CAMERAS).returncode == 0
+    done = run("locate", "photo.jpg", "--map", "map.geojson", code=WITHOUT_CAMERAS)
+    assert done.returncode == 1
+    assert done.stderr == (
+        "landfix: this needs OpenCV, which an installation without cameras leaves out: pip install opencv-python-headless\n"
+    )
+
+
+@pytest.mark.parametrize("code", [BLOCKED, WITHOUT_CAMERAS], ids=["with OpenCV", "without OpenCV"])
+def test_the_daemon_needs_no_tools(tmp_path: Path, code: str) -> None:
     port = free_port()
     config = tmp_path / "vehicle.toml"
     config.write_text(toml(tmp_path, port))
-    with subprocess.Popen(blocked("run", "-c", config), stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(blocked("run", "-c", config, code=code), stderr=subprocess.PIPE, text=True) as process:
         try:
             until(lambda: listening(port) or process.poll() is not None, "the daemon listens")
             process.send_signal(signal.SIGINT)

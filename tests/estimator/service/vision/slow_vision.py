@@ -11,7 +11,7 @@ from estimator.frontend.processor import Processor
 from estimator.service.vision import warm_up as vision_warm_up
 from estimator.service.vision.worker import serve
 
-SECONDS = 6.0  # longer than the patience of the tests' workers, shorter than twice that
+SECONDS = 4.5  # longer than the patience of the tests' workers, shorter than twice that
 
 
 def compiles_once(*args: Any) -> None:

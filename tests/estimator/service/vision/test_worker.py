@@ -177,7 +177,7 @@ def test_a_kernel_that_is_compiled_in_flight_comes_to_its_end_and_is_reported(
 
 def test_a_compiler_that_hangs_is_ended_as_well(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(vision_worker, "serve", slow_vision.hangs_in_the_compiler)
-    monkeypatch.setattr(vision_worker, "_COMPILE_S", 5.0)
+    monkeypatch.setattr(vision_worker, "_COMPILE_S", 4.0)
     with _worker(files, VisionConfig(timeout_s=3.0)) as (worker, heard, take):
         take()
         _until(lambda: worker.report()["restarts"] == 1 and worker.report()["state"] == "ready")
@@ -186,7 +186,7 @@ def test_a_compiler_that_hangs_is_ended_as_well(files: Path, monkeypatch: pytest
 
 def test_an_answer_between_two_failures_does_not_shorten_the_patience_again(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(vision_worker, "serve", slow_vision.every_other_look_is_slow)
-    with _worker(files, VisionConfig(timeout_s=4.0)) as (worker, heard, take):
+    with _worker(files, VisionConfig(timeout_s=3.0)) as (worker, heard, take):
         for answers in range(1, 6):  # one more is cut off: then the patience is twice as long
             before = worker.report()["restarts"]
             take()

@@ -155,8 +155,8 @@ def test_users_are_let_in_by_password_and_may_do_what_they_are_named_for(tmp_pat
             pass
         with client(port, **_as("eve", "guesses")) as eve, client(port, **_as("bob", "watches")) as bob:
             heard_by_eve, heard_by_bob = Vehicle(eve, 1), Vehicle(bob, 1)
-            fly(eve, 1.0)
-            fly(bob, 1.0)
+            for refused in (heard_by_eve, heard_by_bob):
+                refused.fly(1.0, 200.0, gnss_hz=5.0, fix_hz=5.0)
             with client(port, **_as("alice", "flies")) as alice:
                 vehicle = fly(alice, 2.0)
             assert ask(eve, "landfix/config") == []
@@ -201,7 +201,8 @@ def test_certificates_let_in_whom_the_authority_signed(tmp_path: Path) -> None:
         for stranger in ({"transport__link__tls__root_ca_certificate": str(tmp_path / "ca.pem")}, _with(tmp_path, "mallory")):
             with pytest.raises(zenoh.ZError):
                 connected(endpoint, **stranger)
-        by_eve = fly(eve, 1.0)
+        by_eve = Vehicle(eve, 1)
+        by_eve.fly(1.0, 200.0, gnss_hz=5.0, fix_hz=5.0)
         by_alice = fly(alice, 2.0)
         time.sleep(0.2)
         eve.close()  # type: ignore[no-untyped-call]

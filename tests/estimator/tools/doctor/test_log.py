@@ -1,0 +1,23 @@
+"""What the log's content says: an airspeed on the ground is a warning, a topic that is never usable is a failure."""
+
+import pytest
+
+from estimator.sources.source import Refusal
+from estimator.tools.doctor.log import _stream, _Topic
+from estimator.tools.doctor.machine import State
+from models.messages import Reading, Reason
+
+
+@pytest.mark.parametrize(
+    ("kind", "reason", "state"),
+    [
+        ("airspeed", Reason.IMPLAUSIBLE, State.WARN),
+        ("airspeed", Reason.NOT_FINITE, State.FAIL),
+        ("range", Reason.IMPLAUSIBLE, State.FAIL),
+    ],
+)
+def test_a_topic_that_is_never_usable_fails_but_for_an_airspeed_on_the_ground(kind: str, reason: Reason, state: State) -> None:
+    topic = _Topic("")
+    for k in range(5):
+        topic.add(Reading(k, k, f"/{kind}", kind, (1.2,)), Refusal(reason, "below"))
+    assert _stream(f"/{kind}", topic)[0].state is state
