@@ -7,7 +7,7 @@ python -m benchmarks.integrity --groups looks --looks 1000000     these alone
 python -m benchmarks.integrity --scheduler tcp://10.0.0.5:8786
 
 What was done stands in out/integrity/rows.jsonl and is not done again; delete the file to begin anew. When the run ends,
-also by Ctrl-C, its counts are added to docs/integrity_runs.csv.
+also by Ctrl-C, its counts are added to docs/integrity_runs.csv. Frames and pairs that stand there are not done again either.
 """
 
 import argparse
@@ -21,7 +21,7 @@ from benchmarks.flights.tasks import ROOT, SETS, data_folder, flights
 from benchmarks.identification.images import LAYOUTS
 from benchmarks.identification.numbers import WORLDS
 from benchmarks.integrity.pictures import draw
-from benchmarks.integrity.record import RECORD, added
+from benchmarks.integrity.record import RECORD, added, not_yet
 from benchmarks.integrity.rendered import LIGHTS
 from benchmarks.integrity.report import groups_table, summary, table
 from benchmarks.integrity.rows import Row
@@ -39,7 +39,7 @@ def main() -> None:
     args = arguments()
     os.environ["OMP_NUM_THREADS"] = "1"  # inherited: one thread a process
     work = jobs(args.out / "tasks", quick=args.quick, seeds=args.seeds, looks=args.looks, images=args.rendered)
-    work = [job for job in work if job[0] in args.groups]
+    work = not_yet((job for job in work if job[0] in args.groups), args.record)
     kept = args.out / "rows.jsonl"
     try:
         with cluster(args.scheduler) as executor:
@@ -102,8 +102,10 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="simulated flights, the two largest sizes of each kind")
     parser.add_argument("--seeds", type=int, default=3, help="of the villages")
-    parser.add_argument("--looks", type=int, default=0, help="frames of the identification benchmark")
-    parser.add_argument("--rendered", type=int, default=0, help="pairs of rendered images of the identification benchmark")
+    parser.add_argument(
+        "--looks", type=int, default=0, help="frames of the identification benchmark, those of the record among them"
+    )
+    parser.add_argument("--rendered", type=int, default=0, help="the same of its pairs of rendered images")
     parser.add_argument("--groups", nargs="+", choices=_GROUPS, default=_GROUPS, help="these alone")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--scheduler", default="", metavar="ADDRESS", help="dask.distributed scheduler")

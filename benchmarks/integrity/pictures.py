@@ -17,6 +17,7 @@ _LOW_M, _HIGH_M = 0.01, 2000.0
 _LIMIT_M: Final = LIMITS.hal_m or np.inf
 _COLUMNS, _SIDE_IN = 4, 3.1
 _BAD, _OFF, _INK = "#d55e00", "#e69f00", "#5d666e"
+_BEHIND: Final = {"facecolor": "white", "alpha": 0.6, "linewidth": 0, "pad": 1.0}  # text over points
 _NORM: Final = LogNorm(1.0, 1e4)
 _COLOURS: Final = mpl.colormaps["Blues"].resampled(256)
 
@@ -70,4 +71,14 @@ def _panel(ax: Axes, name: str, rows: Sequence[Row]) -> None:
         "misleading": (0.55, 0.04, "right", "bottom"), "hazardous": (0.97, 0.04, "right", "bottom"),
     }  # fmt: skip
     for region, (u, v, align, base) in places.items():
-        ax.text(u, v, f"{region}\n{shown[region]}", transform=ax.transAxes, fontsize=7.5, ha=align, va=base, color="#222")
+        ax.text(
+            u,
+            v,
+            f"{region}\n{shown[region]}",
+            transform=ax.transAxes,
+            fontsize=7.5,
+            ha=align,
+            va=base,
+            color="#222",
+            bbox=_BEHIND,
+        )

@@ -48,8 +48,12 @@ def summary(rows: Sequence[Row]) -> str:
         fixes, wrong = sum(r.fixes for r in some), sum(r.wrong for r in some)
         if not fixes:
             continue
-        frames, highest = sum(round(r.size) for r in some), bound(wrong, fixes)
-        lines.append(f"identification: {frames} {said}, {fixes} fixes, {wrong} wrong (95 %: at most {highest:.2g} of the fixes)")
+        frames, mistaken = sum(round(r.size) for r in some), sum(r.mistaken for r in some)
+        counts = (
+            f"{n} {what} (95 %: at most {bound(n, fixes):.2g} of the fixes)"
+            for n, what in ((wrong, "wrong"), (mistaken, "by a wrong identity"))
+        )
+        lines.append(f"identification: {frames} {said}, {fixes} fixes, {', '.join(counts)}")
     return "\n".join(f"- {line}" for line in lines) + "\n"
 
 

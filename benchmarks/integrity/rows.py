@@ -23,7 +23,7 @@ class Row(msgspec.Struct, frozen=True):
     events: errors above the level at 1e-3, 1e-5, 1e-7 per hour, on either axis, those 10 s apart or more; hazards: errors above
     the alert limit while the state is usable; alerts_s, stops_s: from the error passing the limit to a state other than usable,
     and to "do not use" (None: not before it came back); worst: largest error / level at 1e-5; cells: error, level (in STEP
-    decades), how many; fixes, wrong: of the identification frames.
+    decades), how many; fixes, wrong: of the identification frames; mistaken: of the wrong ones, those by a wrong identity.
     """
 
     group: str
@@ -43,6 +43,7 @@ class Row(msgspec.Struct, frozen=True):
     cells: tuple[tuple[int, int, int], ...] = ()
     fixes: int = 0
     wrong: int = 0
+    mistaken: int = 0
 
 
 def row_of(levels: list[Integrity], t_ns: Times, error: Array) -> Row:

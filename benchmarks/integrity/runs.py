@@ -40,11 +40,13 @@ def run(job: Job) -> Row:
     if group == "looks":
         outcomes = look_at(WORLDS[name], round(size), seed)
         fixes, wrong = sum(o.fixed for o in outcomes), sum(o.wrong_fix for o in outcomes)
-        return Row(group, name, kind, size, seed, fixes=fixes, wrong=wrong)
+        mistaken = sum(o.wrong_fix and o.wrong > 0 for o in outcomes)
+        return Row(group, name, kind, size, seed, fixes=fixes, wrong=wrong, mistaken=mistaken)
     if group == "images":
         pairs = images(name, kind, round(size), seed)
         fixes, wrong = sum(o.error_m is not None for o in pairs), sum(o.wrong_fix for o in pairs)
-        return Row(group, name, kind, size, seed, fixes=fixes, wrong=wrong)
+        mistaken = sum(o.wrong_fix and o.wrong > 0 for o in pairs)
+        return Row(group, name, kind, size, seed, fixes=fixes, wrong=wrong, mistaken=mistaken)
     if group == "rendered":
         row = rendered.fly(name, seed, Path(tasks) / f"{name} {seed}")
         return msgspec.structs.replace(row, group=group, flight=name, kind=kind, size=size, seed=seed)

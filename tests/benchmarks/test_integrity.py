@@ -8,10 +8,11 @@ import pytest
 
 from benchmarks.integrity.__main__ import cluster, jobs
 from benchmarks.integrity.pictures import draw
-from benchmarks.integrity.record import added
+from benchmarks.integrity.record import added, not_yet
 from benchmarks.integrity.report import _delay, bound, group_of, groups_table, is_faulty, summary, table
 from benchmarks.integrity.rows import Row, _delays, _events
 from benchmarks.integrity.runs import run
+from benchmarks.jobs import run_jobs
 from models.messages import Alert, Integrity
 
 S = 1_000_000_000
@@ -75,15 +76,29 @@ def test_a_delay_that_never_ended_is_the_longest() -> None:
 def test_the_record_counts_a_job_once_and_keeps_the_others(tmp_path: Path) -> None:
     record = tmp_path / "runs.csv"
     flown = Row("stress", "sim/rotor", "map shift", 5.0, 0, hours=0.02, events=(2, 1, 0), hazards=3, worst=1.25)
-    looks = Row("looks", "random, prior 5 m", "", 1000.0, 0, fixes=800, wrong=1)
+    looks = Row("looks", "random, prior 5 m", "", 1000.0, 0, fixes=800, wrong=2, mistaken=1)
     added([flown, looks], record)
-    again = msgspec.structs.replace(looks, wrong=0)
+    again = msgspec.structs.replace(looks, wrong=0, mistaken=0)
     more = msgspec.structs.replace(again, seed=1)
     rows = added([again, more], record)
     assert rows == [again, more, flown]
     assert added([], record) == rows
     assert "2000 frames, 1600 fixes, 0 wrong" in summary(rows)
     assert "events of error > PL at 0.001: 2" in summary(rows)
+
+
+def test_looks_of_the_record_are_not_done_again(tmp_path: Path) -> None:
+    record = tmp_path / "runs.csv"
+    work = jobs(Path("tasks"), quick=True, seeds=1, looks=12_000, images=144)
+    assert not_yet(work, record) == work
+    added([Row("looks", "grid, prior 5 m", "", 1000.0, 1, fixes=700), Row("village", "rotor", "fixes", 300.0, 0)], record)
+    left = not_yet(work, record)
+    assert [job for job in work if job not in left] == [("looks", "grid, prior 5 m", "", 1000.0, 1, "tasks")]
+
+
+def test_a_right_identity_beyond_the_ellipsoid_is_wrong_and_not_mistaken() -> None:
+    rows = [Row("looks", "grid, prior 5 m", "", 1000.0, seed, fixes=800, wrong=2, mistaken=seed) for seed in (0, 1)]
+    assert "1600 fixes, 4 wrong (95 %: at most 0.0057 of the fixes), 1 by a wrong identity (95 %: at most 0.003 " in summary(rows)
 
 
 def test_jobs_are_named_once() -> None:
@@ -97,6 +112,18 @@ def test_without_a_scheduler_processes_here_do_the_work() -> None:
         assert executor is None
     with pytest.raises(SystemExit, match=r"distributed|no scheduler answers"), cluster("tcp://127.0.0.1:1"):
         pass
+
+
+def test_the_workers_of_a_scheduler_do_what_is_left(tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed", reason="the extra cluster")
+    work = [("looks", world, "", 5.0, 0, "") for world in ("random, prior 5 m", "grid, prior 5 m")]
+    kept = tmp_path / "rows.jsonl"
+    here = run_jobs(work[:1], run, Row, kept)
+    local = distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
+    with local, cluster(local.scheduler_address) as executor:
+        rows = run_jobs(work, run, Row, kept, resume=True, executor=executor)
+    assert rows == [*here, run(work[1])]
+    assert len(kept.read_text().splitlines()) == len(work)
 
 
 @pytest.mark.parametrize(

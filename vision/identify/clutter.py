@@ -64,12 +64,16 @@ def attributes(features: Array, noise: Array, landmarks: Catalogue, turns: Array
     e = landmarks.features[None] - features[:, None]
     half_turn = np.where(landmarks.features[:, 1] - landmarks.features[:, 0] > math.log(OBLONG), math.pi, 0.5 * math.pi)
     kernel = noise + np.diag([*_LIKENESS, _heading_likeness(landmarks.features[:, 3])]) ** 2
-    inverse, volume = np.linalg.inv(kernel), np.sqrt(np.linalg.det(2.0 * math.pi * kernel))
-    for (k, turn), (n, s) in itertools.product(enumerate(turns), enumerate(log_scales)):
-        shifted = e - np.array([s, s, 0.0, turn])
-        shifted[..., 3] = (shifted[..., 3] + 0.5 * half_turn) % half_turn - 0.5 * half_turn
-        squared = np.einsum("mja,mab,mjb->mj", shifted, inverse, shifted)
-        density[:, k, n] = np.exp(-0.5 * squared).mean(axis=1) / volume
+    white = np.linalg.inv(np.linalg.cholesky(kernel)).transpose(0, 2, 1)  # e white has the covariance 1
+    volume = (2.0 * math.pi) ** 2 / np.linalg.det(white)
+    grown = white[:, :2].sum(axis=1)
+    for k, turn in enumerate(turns):
+        turned = e.copy()
+        turned[..., 3] = (turned[..., 3] - turn + 0.5 * half_turn) % half_turn - 0.5 * half_turn
+        apart = turned @ white
+        along, across = (apart @ grown[:, :, None]) * log_scales, (grown**2).sum(axis=1)[:, None, None] * log_scales**2
+        squared = (apart**2).sum(axis=2)[:, :, None] - 2.0 * along + across
+        density[:, k] = np.exp(-0.5 * squared).mean(axis=1) / volume[:, None]
     return np.asarray(b.look_alike_fraction * density + (1.0 - b.look_alike_fraction) * anything)
 
 

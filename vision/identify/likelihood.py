@@ -13,7 +13,7 @@ A region that is no landmark of the map: clutter.py.
 """
 
 import math
-from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,10 +51,11 @@ def options(
     features = np.array([_features(r) for r in sightings]).reshape(-1, 4)
     noise = np.array([_feature_noise(r, b) for r in sightings]).reshape(-1, 4, 4)
     wide = np.array([_bad_noise(r, b) for r in sightings]).reshape(-1, ROWS)
-    pairs = [pair for i, r in enumerate(sightings) for pair in _pairs_of(i, r, landmarks, candidate[i], scale[i])]
+    of_each = [_pairs_of(i, r, landmarks, candidate[i], scale[i]) for i, r in enumerate(sightings)]
+    pairs = _Pairs(*map(np.concatenate, zip(_NO_PAIRS, *of_each, strict=True)))
     region, landmark, bad, y, A, log_density = _whitened(
         p_n, moved, depth, own + b.centre_sigma_m**2 * np.eye(3), noise, wide, landmarks.outline_sigma_m, covariance,
-        *_columns(pairs),
+        *pairs,
     )  # fmt: skip
     colours = np.array([r.colour_bgr or (math.nan,) * 3 for r in sightings]).reshape(-1, 3)
     colour, ground_colour = _colour(chroma(colours), landmarks.chroma, b)
@@ -86,48 +87,42 @@ def options(
     )
 
 
-_Pair = tuple[int, int, Array, Array, Array, Array, Array, NDArray[np.bool_]]
-
-
-def _pairs_of(i: int, r: Sighting, landmarks: Catalogue, candidate: NDArray[np.bool_], scale: Array) -> Iterator[_Pair]:
-    """Region i beside each landmark that it may be.
-
-    Indices; arm to what was measured, where the map has that, variance of the map there; features measured, features of the map,
-    which of them are known.
+class _Pairs(NamedTuple):
+    """N pairs of a region and a landmark. arm (N, 3): to what was measured; target, variance (N, 3): where the map has that;
+    features, described (N, 4): measured and of the map; known (N, 4): which of them are.
     """
-    longer = np.array([1.0, 1.0, 0.0, 0.0])
-    if r.partial is None:
-        seen, known = np.array(_features(r)), np.ones(4, np.bool_)
-        for j in np.flatnonzero(candidate).tolist():
-            features = seen + longer * math.log(scale[j])
-            yield (
-                i,
-                j,
-                r.arm_n * scale[j],
-                landmarks.position_n[j],
-                landmarks.variance_n[j],
-                features,
-                landmarks.features[j],
-                known,
-            )
-        return
+
+    region: NDArray[np.int64]
+    landmark: NDArray[np.int64]
+    arm: Array
+    target: Array
+    variance: Array
+    features: Array
+    described: Array
+    known: NDArray[np.bool_]
+
+
+_NONE, _NONE_3, _NONE_4 = np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 4))
+_NO_PAIRS = _Pairs(_NONE, _NONE, _NONE_3, _NONE_3, _NONE_3, _NONE_4, _NONE_4, np.empty((0, 4), np.bool_))
+
+
+def _pairs_of(i: int, r: Sighting, landmarks: Catalogue, candidate: NDArray[np.bool_], scale: Array) -> _Pairs:
+    """Region i beside each landmark that it may be."""
     part = r.partial
-    for j, target, described in zip(part.landmark.tolist(), part.target_n, part.described, strict=True):
-        if candidate[j]:
-            variance = landmarks.variance_n[j] + np.array([1.0, 1.0, 0.0]) * landmarks.outline_sigma_m[j] ** 2
-            features = part.features + longer * math.log(scale[j])
-            yield i, j, part.middle_n * scale[j], target, variance, features, described, part.known
-
-
-def _columns(
-    pairs: list[_Pair],
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array, Array, Array, Array, NDArray[np.bool_]]:
-    region, landmark, arm, target, variance, features, described, known = zip(*pairs, strict=True) if pairs else ((),) * 8
-    return (
-        np.array(region, np.int64), np.array(landmark, np.int64), np.array(arm).reshape(-1, 3), np.array(target).reshape(-1, 3),
-        np.array(variance).reshape(-1, 3), np.array(features).reshape(-1, 4), np.array(described).reshape(-1, 4),
-        np.array(known, np.bool_).reshape(-1, 4),
-    )  # fmt: skip
+    if part is None:
+        j = np.flatnonzero(candidate)
+        arm, seen, known = r.arm_n, np.array(_features(r)), np.ones(4, np.bool_)
+        target, described, variance = landmarks.position_n[j], landmarks.features[j], landmarks.variance_n[j]
+    else:
+        kept = candidate[part.landmark]
+        j, arm, seen, known = part.landmark[kept], part.middle_n, part.features, part.known
+        target, described = part.target_n[kept], part.described[kept]
+        variance = landmarks.variance_n[j] + np.outer(landmarks.outline_sigma_m[j] ** 2, (1.0, 1.0, 0.0))
+    features = seen + np.outer(np.log(scale[j]), (1.0, 1.0, 0.0, 0.0))
+    rows = len(j)
+    return _Pairs(
+        np.full(rows, i), j, arm * scale[j, None], target, variance, features, described, np.broadcast_to(known, (rows, 4))
+    )
 
 
 def _features(r: Sighting) -> tuple[float, float, float, float]:
