@@ -1,6 +1,6 @@
 """Visual odometry alone, without a filter: drift, covariance, lost steps, false motion, time.
 
-python -m benchmarks.odometry                        everything, some ten minutes of one core
+python -m benchmarks.odometry                        everything, an hour of one core (moving and scale most of it)
 python -m benchmarks.odometry recorded faults        one table or several
 python -m benchmarks.odometry --draw DIR             the tracks of a few steps as PNG, in addition
 
