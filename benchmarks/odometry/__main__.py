@@ -1,6 +1,6 @@
 """Visual odometry alone, without a filter: drift, covariance, lost steps, false motion, time.
 
-python -m benchmarks.odometry                        everything, some ten minutes of one core
+python -m benchmarks.odometry                        everything, an hour of one core (moving and scale most of it)
 python -m benchmarks.odometry recorded faults        one table or several
 python -m benchmarks.odometry --draw DIR             the tracks of a few steps as PNG, in addition
 
@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from benchmarks.flights.tasks import data_folder
-from benchmarks.odometry import moving, sets
+from benchmarks.odometry import moving, scale, sets
 from benchmarks.odometry import outage as outages
 from benchmarks.odometry.score import Scored, run
 from benchmarks.tables import Table, number
@@ -166,9 +166,14 @@ def moving_scenes() -> list[Table]:
     return [moving.table(ends)]
 
 
+def scales() -> list[Table]:
+    """Outages with a rig drawn from its covariance; each flight by itself."""
+    return [scale.table(end for number in range(scale.FLIGHTS) for end in scale.run(number))]
+
+
 TABLES = {
-    "recorded": recorded, "rendered": rendered, "faults": faults, "motion": motion, "moving": moving_scenes, "speed": speed,
-    "outage": outage,
+    "recorded": recorded, "rendered": rendered, "faults": faults, "motion": motion, "moving": moving_scenes, "scale": scales,
+    "speed": speed, "outage": outage,
 }  # fmt: skip
 
 

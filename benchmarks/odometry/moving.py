@@ -1,44 +1,31 @@
-"""A scene of which half moves, in an outage: simulated IMU, rendered pairs, visual odometry and filter as a closed loop.
-
-    pairs of the true poses -> KeyFrames (motion predicted by the estimates) -> StereoOdometry -> OdometryDelta -> Fusion
+"""A scene of which half moves, in an outage, in a closed loop.
 
 Fixes end at OUTAGE_S, and from then on half of the image moves: a deck (one half of the image), a truck (the middle of it, 2 m
 high), water (one half, two waves over each other). Each scene draws its texture, height, speed and direction from its own seed.
 """
 
-from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Final
 
 import cv2
 import numpy as np
-from msgspec.structs import replace
 
 from benchmarks.flights.tasks import INSIDE95
+from benchmarks.odometry.closed_loop import Rendered, Times, Views, error, flown
 from benchmarks.odometry.sets import ground_of
 from benchmarks.tables import Table
-from estimator.config import parse
-from estimator.frontend.key_frames import KeyFrames, VisualOdometryConfig
-from estimator.frontend.odometry import delta_of, prediction_of
-from estimator.frontend.requests import Pair, Shot, Track
-from estimator.fusion import Fusion
-from models.messages import AidStatus, Array, Estimate, ImuSample, Input
+from models.messages import Array
 from models.sim.scenario import EPOCH_NS, Simulation, simulate
 from models.sim.scenario_file import loads
-from models.state import E, X
-from vision.image.rectify import Image
-from vision.odometry.step import Frame, Prediction, Step, StereoOdometry
-from vision.synthetic import Conditions, blur_of_motion, make_rig, render_pair
+from vision.synthetic import make_rig
 
 OUTAGE_S, ENDS_S = 24.0, (10.0, 30.0)
-_FIRST_S, _STEP_S, _LATE_NS, _SECOND = 21.0, 0.5, 60_000_000, 10**9
+_TIMES: Final = Times(21.0, OUTAGE_S)
 _HEIGHTS_M, _SPEEDS_M_S = (20.0, 30.0, 45.0, 60.0), (0.1, 0.2, 0.35, 0.6, 1.2, 3.0)
 _TRUCK_M: Final = 2.0  # its height
 SCENES: Final = 16
 KINDS: Final = ("still", "deck", "truck", "water")
-
-Views = tuple[Image, Image]
 
 
 @dataclass(frozen=True)
@@ -84,90 +71,40 @@ def run(scene: Drawn, *, height_given: bool = False) -> list[End]:
     )
     simulation = simulate(loads(text), scene.seed)
     ends = [EPOCH_NS + round((OUTAGE_S + after_s) * 1e9) for after_s in ENDS_S]
-    carried, reasons = _flown(simulation, _Camera(simulation, scene), height_given)
-    alone, _ = _flown(simulation, None, height_given)
+    carried, reasons = flown(simulation, _HalfMoves(simulation, scene), _TIMES, height_given=height_given)
+    alone, _ = flown(simulation, None, _TIMES, height_given=height_given)
     made = []
     for after_s, t_ns in zip(ENDS_S, ends, strict=True):
-        e, other = (_error(simulation, estimates, t_ns) for estimates in (carried, alone))
+        e, other = (error(simulation, estimates, t_ns) for estimates in (carried, alone))
         ratio = float(e[0] @ np.linalg.solve(e[1], e[0])) / 3.0
         error_m, alone_m = (float(np.linalg.norm(x[0])) for x in (e, other))
         made.append(End(scene, after_s, error_m, alone_m, float(np.sqrt(np.trace(e[1]))), ratio, dict(reasons)))
     return made
 
 
-def _error(simulation: Simulation, estimates: Sequence[Estimate], t_ns: int) -> tuple[Array, Array]:
-    estimate = min(estimates, key=lambda e: abs(e.t_ns - t_ns))
-    k = int(np.searchsorted(simulation.truth.t_ns, estimate.t_ns))
-    return simulation.truth.p_n[k] - estimate.nav[X.P], estimate.covariance[E.P, E.P]
-
-
-def _flown(simulation: Simulation, camera: "_Camera | None", height_given: bool) -> tuple[list[Estimate], Counter[str]]:
-    """Estimates, and how many increments ended how."""
-    out_ns = EPOCH_NS + round(OUTAGE_S * 1e9)
-    messages: list[Input] = [m for m in simulation.messages if isinstance(m, ImuSample) or m.t_ns < out_ns]
-    fusion, track, reasons = Fusion(parse(simulation.config_toml).fusion()), Track(), Counter[str]()
-    key_frames = KeyFrames(VisualOdometryConfig(interval_s=_STEP_S, ground_m=0.0 if height_given else None))
-    estimates: list[Estimate] = []
-    next_ns = EPOCH_NS + round(_FIRST_S * 1e9)
-
-    def handle(message: Input) -> None:
-        outputs = fusion.handle(message)
-        track.note(outputs)
-        estimates.extend(o for o in outputs if isinstance(o, Estimate))
-        reasons.update(str(o.reason) for o in outputs if isinstance(o, AidStatus) and o.topic.endswith("odometry_delta"))
-
-    for message in messages:
-        handle(message)
-        if camera is None or message.arrived_ns < next_ns + _LATE_NS:
-            continue
-        shot = Shot("/left", "", b"", next_ns, next_ns, next_ns)
-        asked = key_frames.request(Pair(shot, shot._replace(topic="/right")), track, message.arrived_ns)
-        if asked is not None:
-            step = camera.step(asked[0].t0_ns, next_ns, prediction_of(asked[0]))
-            if step.reason:
-                reasons["lost"] += 1
-            else:
-                handle(replace(delta_of(asked[0], step), arrived_ns=message.arrived_ns))
-        next_ns += round(_STEP_S * 1e9)
-    return estimates, reasons
-
-
-class _Camera:
-    """Frames of the true poses; after OUTAGE_S half of each image shows ground that moves."""
+class _HalfMoves(Rendered):
+    """After OUTAGE_S half of each image shows ground that moves."""
 
     def __init__(self, simulation: Simulation, scene: Drawn) -> None:
-        self._truth, self._drawn = simulation.truth, scene
-        self._rig = make_rig()
-        self._world = ground_of(scene.texture, 130.0 + 3.0 * scene.height_m, self._rig, scene.seed).world
-        self._odometry = StereoOdometry(self._rig)
-        self._frames: dict[int, Frame | str] = {}
+        rig = make_rig()
+        world = ground_of(scene.texture, 130.0 + 3.0 * scene.height_m, rig, scene.seed).world
+        super().__init__(simulation.truth, world, rig, rig)
+        self._drawn = scene
 
-    def step(self, t0_ns: int, t1_ns: int, prediction: Prediction) -> Step:
-        """The motion between two times."""
-        first, second = (self._frame(t_ns) for t_ns in (t0_ns, t1_ns))
-        assert isinstance(first, Frame)
-        assert isinstance(second, Frame)
-        return self._odometry.step(first, second, prediction)
-
-    def _frame(self, t_ns: int) -> Frame | str:
-        if t_ns not in self._frames:
-            self._frames = dict(list(self._frames.items())[-1:])
-            self._frames[t_ns] = self._odometry.frame(*self._images(t_ns))
-        return self._frames[t_ns]
-
-    def _images(self, t_ns: int) -> Views:
+    def images(self, t_ns: int) -> Views:
+        """The pair of a time."""
         k = int(np.searchsorted(self._truth.t_ns, t_ns))
         moved_s = max((t_ns - EPOCH_NS) * 1e-9 - OUTAGE_S, 0.0)
-        p, still = self._truth.p_n[k], self._rendered(k, self._truth.p_n[k])
+        p, still = self._truth.p_n[k], self.rendered(k, self._truth.p_n[k])
         if not moved_s or self._drawn.kind == "still":
             return still
         north, east = (moved_s * self._drawn.moving_m_s).tolist()
         shift = np.array([north, east, 0.0])
         nearer_m = _TRUCK_M if self._drawn.kind == "truck" else 0.0
-        moving = self._rendered(k, p - shift + np.array([0.0, 0.0, nearer_m]))
+        moving = self.rendered(k, p - shift + np.array([0.0, 0.0, nearer_m]))
         if self._drawn.kind == "water":  # a second wave, to the side of the first
             across = np.array([7.0 - east, 3.0 + north, 0.0])
-            moving = _mixed(moving, self._rendered(k, p - across))
+            moving = _mixed(moving, self.rendered(k, p - across))
         left, right = (np.where(self._mask()[:, :, None], b, a) for a, b in zip(still, moving, strict=True))
         return left, right
 
@@ -180,12 +117,6 @@ class _Camera:
             return inside
         halves = (u < width // 2, u >= width // 2, v < height // 2, v >= height // 2)
         return np.asarray(halves[self._drawn.side])
-
-    def _rendered(self, k: int, p: Array) -> Views:
-        truth, rig = self._truth, self._rig
-        velocity_c = rig.R_bc.T @ truth.R_nb[k].T @ truth.v_n[k]
-        blur = blur_of_motion(rig.left.fx, velocity_c, rig.R_bc.T @ truth.omega_b[k], max(-float(p[2]), 2.0), 0.003)
-        return render_pair(self._world, rig, p, truth.R_nb[k], Conditions(blur_px=blur), np.random.default_rng(k))
 
 
 def _mixed(a: Views, b: Views) -> Views:
