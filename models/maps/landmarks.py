@@ -31,7 +31,8 @@ class Landmark(msgspec.Struct, frozen=True, eq=False):
 
     outline_n: (K, 2) north, east of the roof's edge, anticlockwise seen from above, not closed; base_d: down of the ground;
     height_m: roof above ground. sigma_m: horizontal, of the whole landmark, per axis; outline_sigma_m: by how much the whole
-    outline may be larger (footprint to eave); corner_sigma_m: by how much each corner may lie elsewhere by itself, per axis. weights: of size, width, length and fill ratio in the similarity.
+    outline may be larger (footprint to eave); corner_sigma_m: by how much each corner may lie elsewhere by itself,
+    per axis. weights: of size, width, length and fill ratio in the similarity.
     orientation_rad: long side of the least rectangle, from north to east, 0..pi.
     """
 
