@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib import pyplot as plt
 
 from benchmarks.houses.trials import Answer
 
@@ -13,8 +14,6 @@ _PATTERN = "outlines together have one position"  # of the detail of a fix by th
 
 def draw(answers: Sequence[Answer], file: Path) -> Path:
     """Left each fix; right the share inside its claimed region over the claimed share, 1 - exp(-d^2 / 2) within d sigma."""
-    from matplotlib import pyplot as plt
-
     fixes = [a for a in answers if a.accepted and a.kind == "true" and a.squared is not None]
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.6, 4.4), layout="constrained")
     share = np.linspace(0.0, 1.0, 101)
