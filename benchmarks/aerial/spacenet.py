@@ -50,7 +50,8 @@ def scene(data: Path) -> Scene:
     if image is None:
         raise FileNotFoundError(data / FOLDER / "sample_geotiff.tif")
     read = LandmarkMap.from_geojson((data / FOLDER / "geotiff_labels.geojson").read_bytes())
-    flat = [Landmark.of(m.id, m.outline_n, 0.0, sigma_m=_ROOF_SIGMA_M, outline_sigma_m=_ROOF_SIGMA_M) for m in read]
+    s = _ROOF_SIGMA_M
+    flat = [Landmark.of(m.id, m.outline_n, 0.0, sigma_m=s, outline_sigma_m=s, corner_sigma_m=s) for m in read]
     landmarks = LandmarkMap.from_landmarks(read.origin, flat)
     f = HEIGHT_M / STEP_M
     camera = CameraModel(SIZE, SIZE, f, f, 0.5 * (SIZE - 1), 0.5 * (SIZE - 1))

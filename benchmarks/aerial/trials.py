@@ -151,7 +151,7 @@ def turned(marks: Sequence[Landmark], centre: Array, rng: np.random.Generator) -
     return [
         Landmark.of(
             m.id, (m.outline_n - centre) @ R.T + centre, m.base_d, m.height_m, m.colour_bgr, m.sigma_m, m.height_sigma_m,
-            m.outline_sigma_m,
+            m.outline_sigma_m, corner_sigma_m=m.corner_sigma_m,
         )
         for m in marks
     ]  # fmt: skip

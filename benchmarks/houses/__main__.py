@@ -12,6 +12,7 @@ import sys
 import numpy as np
 
 from benchmarks.flights.tasks import data_folder
+from benchmarks.houses.calibration import draw
 from benchmarks.houses.tiles import CHOSEN_ON, FOLDER, is_there
 from benchmarks.houses.trials import OUT, SIZES, Answer, answer, every_tile, jobs
 from benchmarks.jobs import run_jobs
@@ -85,7 +86,7 @@ def main() -> None:
     answers = run_jobs(todo, answer, Answer, OUT / "answers.jsonl", processes=args.processes, resume=args.resume)
     text = report(answers, [job[3] for job in todo])
     (OUT / "report.md").write_text(text)
-    sys.stdout.write(text)
+    sys.stdout.write(f"{text}\nclaims and errors: {draw(answers, OUT / 'calibration.png')}\n")
 
 
 if __name__ == "__main__":

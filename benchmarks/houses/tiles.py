@@ -23,7 +23,7 @@ from vision.image.rectify import Image
 FOLDER = "images/building_tiles"
 FOCAL_PX = 400.0  # so that 0.3 m a pixel are seen from 120 m
 ORIGIN = (48.0, 11.0, 0.0)
-SIGMA_M = 0.7  # of each outline: drawn by hand, and roofs lean
+SIGMA_M = 0.7  # of each outline and of each of its corners: drawn by hand, and roofs lean
 _SETS = {  # metres a pixel; the images; what a name is replaced by in the name of the mask
     "Inria": (0.3, "inria/images/*.png", ("images", "gt")),
     "WHU East Asia": (0.45, "whu_east_asia/images/*.png", ("images", "gt")),
@@ -101,7 +101,9 @@ def footprints(mask: Image, step_m: float) -> tuple[Landmark, ...]:
         out = corners - corners.mean(axis=0)
         corners += 0.5 * out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1.0)  # the contour runs inside the mask
         outline_n = (corners - 0.5 * np.array([width - 1.0, height - 1.0])) @ _NED.T * step_m
-        found.append(Landmark.of(str(len(found)), outline_n, 0.0, sigma_m=SIGMA_M, outline_sigma_m=SIGMA_M))
+        found.append(
+            Landmark.of(str(len(found)), outline_n, 0.0, sigma_m=SIGMA_M, outline_sigma_m=SIGMA_M, corner_sigma_m=SIGMA_M)
+        )
     return tuple(found)
 
 
@@ -122,5 +124,6 @@ def elsewhere(tile: Tile, kind: str, others: list[Tile], rng: np.random.Generato
 
 def _changed(marks: tuple[Landmark, ...], A: Array, shift_m: Array) -> tuple[Landmark, ...]:
     return tuple(
-        Landmark.of(m.id, m.outline_n @ A.T + shift_m, 0.0, sigma_m=m.sigma_m, outline_sigma_m=m.outline_sigma_m) for m in marks
+        Landmark.of(m.id, m.outline_n @ A.T + shift_m, 0.0, sigma_m=SIGMA_M, outline_sigma_m=SIGMA_M, corner_sigma_m=SIGMA_M)
+        for m in marks
     )

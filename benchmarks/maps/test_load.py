@@ -39,6 +39,7 @@ def town(count: int) -> LandmarkMap:
         sigma_m=np.full(count, 0.5),
         height_sigma_m=np.full(count, 1.0),
         outline_sigma_m=np.full(count, 0.3),
+        corner_sigma_m=np.full(count, 0.3),
         weights={},
         names={},
     )

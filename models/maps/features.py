@@ -40,6 +40,7 @@ class OurProperties(msgspec.Struct, omit_defaults=True):
     sigma_m: _Sigma
     outline_sigma_m: _Sigma
     ground_alt_m: Annotated[float, msgspec.Meta(ge=-1e3, le=1e4)]
+    corner_sigma_m: _Sigma
     size_m2: float = 0.0
     width_m: float = 0.0
     length_m: float = 0.0
@@ -127,7 +128,7 @@ class Parts:
         if (p.colour and not colour) or p.weights or not ours.id.strip():
             self._add_any(number, raw)
             return
-        numbers = (p.height_m, p.height_sigma_m, p.sigma_m, p.outline_sigma_m, p.ground_alt_m)
+        numbers = (p.height_m, p.height_sigma_m, p.sigma_m, p.outline_sigma_m, p.ground_alt_m, p.corner_sigma_m)
         attributes = Attributes(numbers, colour or UNKNOWN, p.name, missing=() if colour else ("colour",))
         self._outline(number, ours.id, ours.geometry.coordinates, attributes)
 

@@ -49,7 +49,7 @@ def read(data: bytes, defaults: Defaults) -> tuple[Vec3, Columns, MapReport, tup
     counts = np.array(parts.counts, dtype=np.int64)
     offsets = np.concatenate(([0], np.cumsum(counts)))
     good = _in_range(parts, lonlat, offsets)
-    table = np.array(parts.numbers).reshape(-1, 5)  # as in Attributes.numbers
+    table = np.array(parts.numbers).reshape(-1, 6)  # as in Attributes.numbers
     origin = defaults.origin or (head.landfix and head.landfix.origin) or _middle(lonlat, offsets, good, table[:, 4])
     if not _on_earth(origin):
         raise MapError(f"the origin {origin} is not a latitude, longitude and height")
@@ -70,6 +70,7 @@ def read(data: bytes, defaults: Defaults) -> tuple[Vec3, Columns, MapReport, tup
         height_sigma_m=table[kept, 1],
         sigma_m=table[kept, 2],
         outline_sigma_m=table[kept, 3],
+        corner_sigma_m=table[kept, 5],
         colour_bgr=np.array(parts.colours, dtype=np.int16).reshape(-1, 3)[kept],
         weights={row: parts.weights[i] for row, i in enumerate(kept.tolist()) if i in parts.weights},
         names={row: parts.names[i] for row, i in enumerate(kept.tolist()) if i in parts.names},
@@ -218,7 +219,7 @@ def write(
     lonlat = np.column_stack((lon, lat)).round(9).tolist()
     first = columns.vertices[columns.offsets[:-1]]
     _, _, ground = pymap3d.ned2geodetic(first[:, 0], first[:, 1], columns.base_d, *origin)
-    known = (columns.height_m, columns.height_sigma_m, columns.sigma_m, columns.outline_sigma_m, ground)
+    known = (columns.height_m, columns.height_sigma_m, columns.sigma_m, columns.outline_sigma_m, ground, columns.corner_sigma_m)
     shape = np.column_stack((description[:, :4], np.degrees(description[:, polygon.ORIENTATION]).round(3) % 180.0))
     numbers = np.column_stack((*known, shape)).round(3).tolist()
     colours_bgr = columns.colour_bgr.tolist()

@@ -31,7 +31,8 @@ class Landmark(msgspec.Struct, frozen=True, eq=False):
 
     outline_n: (K, 2) north, east of the roof's edge, anticlockwise seen from above, not closed; base_d: down of the ground;
     height_m: roof above ground. sigma_m: horizontal, of the whole landmark, per axis; outline_sigma_m: by how much the whole
-    outline may be larger (footprint to eave). weights: of size, width, length and fill ratio in the similarity.
+    outline may be larger (footprint to eave); corner_sigma_m: by how much each corner may lie elsewhere by itself,
+    per axis. weights: of size, width, length and fill ratio in the similarity.
     orientation_rad: long side of the least rectangle, from north to east, 0..pi.
     """
 
@@ -51,6 +52,7 @@ class Landmark(msgspec.Struct, frozen=True, eq=False):
     orientation_rad: float
     centre_n: tuple[float, float]
     name: str = ""
+    corner_sigma_m: float = 0.0
 
     @classmethod
     def of(
@@ -65,6 +67,7 @@ class Landmark(msgspec.Struct, frozen=True, eq=False):
         outline_sigma_m: float = 0.0,
         weights: Weights = WEIGHTS,
         name: str = "",
+        corner_sigma_m: float = 0.0,
     ) -> Self:
         """A landmark with its description computed; the outline may run either way. Raises ValueError where it has no area."""
         outline = np.array(outline_n, dtype=np.float64)
@@ -78,7 +81,7 @@ class Landmark(msgspec.Struct, frozen=True, eq=False):
         size, width, length, fill, orientation, north, east, _ = d
         return cls(
             id, outline, base_d, height_m, colour_bgr, sigma_m, height_sigma_m, outline_sigma_m, weights,
-            size, width, length, fill, orientation, (north, east), name,
+            size, width, length, fill, orientation, (north, east), name, corner_sigma_m,
         )  # fmt: skip
 
     @property
@@ -135,6 +138,7 @@ class LandmarkMap:
             sigma_m=np.array([landmark.sigma_m for landmark in several]),
             height_sigma_m=np.array([landmark.height_sigma_m for landmark in several]),
             outline_sigma_m=np.array([landmark.outline_sigma_m for landmark in several]),
+            corner_sigma_m=np.array([landmark.corner_sigma_m for landmark in several]),
             weights={i: landmark.weights for i, landmark in enumerate(several) if landmark.weights != WEIGHTS},
             names={i: landmark.name for i, landmark in enumerate(several) if landmark.name},
         )
@@ -187,20 +191,27 @@ class LandmarkMap:
         """Landmark objects of these rows; columns are turned into Python numbers together, which is what takes the time."""
         c = self.columns
         numbers = np.column_stack(
-            (c.base_d[rows], c.height_m[rows], c.sigma_m[rows], c.height_sigma_m[rows], c.outline_sigma_m[rows])
+            (
+                c.base_d[rows],
+                c.height_m[rows],
+                c.sigma_m[rows],
+                c.height_sigma_m[rows],
+                c.outline_sigma_m[rows],
+                c.corner_sigma_m[rows],
+            )
         )
         table = zip(
             rows.tolist(), c.offsets[rows].tolist(), c.offsets[rows + 1].tolist(), numbers.tolist(), c.colour_bgr[rows].tolist(),
             self.description[rows].tolist(), strict=True,
         )  # fmt: skip
         made = []
-        for i, begin, end, (base_d, height, sigma, height_sigma, outline_sigma), colour, described in table:
+        for i, begin, end, (base_d, height, sigma, height_sigma, outline_sigma, corner_sigma), colour, described in table:
             size, width, length, fill, orientation, north, east, _ = described
             bgr = None if colour[0] < 0 else (colour[0], colour[1], colour[2])
             weights, name = c.weights.get(i, WEIGHTS), c.names.get(i, "")
             made.append(Landmark(
                 c.ids[i], c.vertices[begin:end], base_d, height, bgr, sigma, height_sigma, outline_sigma, weights,
-                size, width, length, fill, orientation, (north, east), name,
+                size, width, length, fill, orientation, (north, east), name, corner_sigma,
             ))  # fmt: skip
         return made
 

@@ -41,6 +41,7 @@ class Properties(
     height_sigma_m: Any = None
     sigma_m: Any = None
     outline_sigma_m: Any = None
+    corner_sigma_m: Any = None
     ground_alt_m: Any = None
     colour: Any = None
     weights: Any = None
@@ -60,10 +61,10 @@ class Properties(
 class Attributes(NamedTuple):
     """One landmark without its outline. missing: properties whose default was taken.
 
-    numbers: height_m, height_sigma_m, sigma_m, outline_sigma_m, ground_alt_m (NaN where unknown).
+    numbers: height_m, height_sigma_m, sigma_m, outline_sigma_m, ground_alt_m (NaN where unknown), corner_sigma_m.
     """
 
-    numbers: tuple[float, float, float, float, float]
+    numbers: tuple[float, float, float, float, float, float]
     colour_bgr: tuple[int, int, int]
     name: str = ""
     weights: Weights | None = None
@@ -79,15 +80,19 @@ def read(p: Properties, defaults: Defaults) -> Attributes:
     own_height_sigma = _number("height_sigma_m", p.height_sigma_m, 0.0, 1e4, remarks)
     sigma = _number("sigma_m", p.sigma_m, 0.0, 1e4, remarks)
     outline_sigma = _number("outline_sigma_m", p.outline_sigma_m, 0.0, 1e3, remarks)
+    corner_sigma = _number("corner_sigma_m", p.corner_sigma_m, 0.0, 1e3, remarks)
     ground = _number("ground_alt_m", p.ground_alt_m, -1e3, 1e4, remarks)
     colour = _colour(p, remarks)
     missing += [name for name, value in (("sigma_m", sigma), ("ground_alt_m", ground), ("colour", colour)) if value is None]
+    if outline_sigma is None:
+        outline_sigma = 0.0 if height == 0.0 else EAVE_SIGMA_M
     numbers = (
         height,
         height_sigma if own_height_sigma is None else own_height_sigma,
         defaults.sigma_m if sigma is None else sigma,
-        (0.0 if height == 0.0 else EAVE_SIGMA_M) if outline_sigma is None else outline_sigma,
+        outline_sigma,
         math.nan if ground is None else ground,
+        outline_sigma if corner_sigma is None else corner_sigma,
     )
     name = p.name if isinstance(p.name, str) else ""
     weights = None if p.weights is None else _weights(p.weights, remarks)

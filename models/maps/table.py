@@ -29,6 +29,7 @@ class Columns(msgspec.Struct, frozen=True, eq=False):
     sigma_m: Array
     height_sigma_m: Array
     outline_sigma_m: Array
+    corner_sigma_m: Array
     weights: dict[int, Weights]
     names: dict[int, str]
 

@@ -62,11 +62,7 @@ class Measured:
         G = (Omega^-1)_pose A^T W / factor,   image = factor G R G^T (+ what the limit on large variances adds),   moved = G N
         Directions that are not measured have 1 / share times the prior's variance, and no error of map and rig moves them.
         """
-        floor, limited = self._floor(), omega / factor
-        limited[:POSE, :POSE] += floor
-        rest = np.arange(POSE, len(omega))
-        limited[rest, rest] += 1.0 - 1.0 / factor
-        inverse = _of_pose(limited)
+        floor, inverse = self._floor(), self._inverse(omega, factor)
         image = inverse[:POSE] @ floor @ inverse[:POSE]  # what the floor adds
         moved = _add_covariances(system.A, system.W, system.R, inverse, factor, image)
         if self.rank == POSE:
@@ -74,6 +70,20 @@ class Measured:
         through = self.through
         open_ways = np.linalg.solve(self.low.T, self.basis[:, self.rank :])
         return through @ image @ through.T + open_ways @ open_ways.T / _LEAST_SHARE, through @ moved
+
+    def moved_by(self, system: System, omega: Array, factor: float, own: Array) -> Array:
+        """G_e B_e (E, 6, c): how c errors of variance 1 that each edge has of its own, B own (E, M, c), move the pose."""
+        seen = system.A @ self._inverse(omega, factor)
+        moved = seen.transpose(0, 2, 1) @ (system.W @ own) / factor
+        return np.asarray(moved if self.rank == POSE else self.through @ moved)
+
+    def _inverse(self, omega: Array, factor: float) -> Array:
+        """The pose's columns (6 + P, 6) of (Omega / factor)^-1, the priors of map and rig and the limits as they are."""
+        limited = omega / factor
+        limited[:POSE, :POSE] += self._floor()
+        rest = np.arange(POSE, len(omega))
+        limited[rest, rest] += 1.0 - 1.0 / factor
+        return _of_pose(limited)
 
     @property
     def through(self) -> Array:

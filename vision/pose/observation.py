@@ -21,7 +21,7 @@ from models.maps.landmarks import Landmark
 from models.messages import Array
 from vision.outline import edge_search, profiles, roof_colour, step_fit
 from vision.outline.edge_lines import EdgeLines, compress, lines_of
-from vision.outline.visibility import Kind, ModelEdges, Prisms, visible_edges
+from vision.outline.visibility import Kind, MapError, ModelEdges, Prisms, visible_edges
 from vision.pose import small_landmarks
 from vision.pose.least_squares import POSE
 from vision.pose.sensitivity import MAPPED_FROM, Samples, derived, ends_of, eyes, partners_off, viewed
@@ -34,6 +34,7 @@ OnEdges = tuple[Array, Array, Indices, Array, Indices, Mask]
 Bodies = tuple[Array, Indices, Array, Array]
 Stand = tuple[Array, Array, Array, Array]
 Roots = tuple[Array, Array, Array, int]
+Seen = tuple["Line", int, Array]
 Line = tuple[Array, Mask, Array, Array, Array, Array, Array, Array]
 _ROOF, _BASE = int(Kind.ROOF), int(Kind.BASE)  # compiled code reads plain integers
 _BESIDE_PX = 1.5  # another edge of the model must be this far beyond a profile's end
@@ -64,6 +65,7 @@ class Observation:
 
     block: (N,) of the samples, the edge each belongs to; kind: (E,) Kind; line: (E, K, 2) px; found: (E, K); A: (E, K, 2, 6 + P),
     how lines depend on the pose, H, and on errors of map and rig, N; opened: (K, E) px^2, what gaps leave open of the offsets;
+    cornered: (E, K) px, standard deviation of offset and of tilt by the errors of the outline's single corners;
     lines: of each image; usable: points in view, of all images.
     """
 
@@ -76,6 +78,7 @@ class Observation:
     found: Mask
     A: Array
     opened: Array
+    cornered: Array
     usable: int
 
     @property
@@ -112,6 +115,7 @@ class Scene:
         self.rig, self.prisms = rig, Prisms.of(landmarks)
         self.images = [None if image is None else channels(image) for image in views]
         self.map_sigma = np.array([_sigmas(m) for m in landmarks])  # (L, M)
+        self.corner_sigma = np.array([m.corner_sigma_m for m in landmarks])  # (L,)
         self.map_used = np.flatnonzero(self.map_sigma.ravel() > 0.0)
         self.map_column = np.full(self.map_sigma.size, -1)
         self.map_column[self.map_used] = np.arange(len(self.map_used))
@@ -150,11 +154,8 @@ class Scene:
         samples = small_landmarks.sampled(edges, shown[0][0], (p_n, R_nb), spacing, config.most_points, wanted, is_small)
         count, with_rig = len(edges.kind), not search_px
         lines, points = list[EdgeLines](), 0
-        line_all, found, opened = (
-            np.empty((count, len(shown), 2)),
-            np.empty((count, len(shown)), np.bool_),
-            np.empty((len(shown), count)),
-        )
+        line_all, found = np.empty((count, len(shown), 2)), np.empty((count, len(shown)), np.bool_)
+        opened, cornered = np.empty((len(shown), count)), np.empty((count, len(shown)))
         A = np.zeros((count, len(shown), 2, POSE + len(self.map_used) + with_rig * sum(r.shape[1] for r in self.rig_roots)))
         drawn = (
             edges.start_n, edges.end_n, edges.landmark, edges.kind, edges.partner, edges.raised, edges.map_start, edges.map_end,
@@ -164,15 +165,16 @@ class Scene:
         for k, (eye, image) in enumerate(shown):
             own = 4 + len(eye.camera.distortion) if with_rig else 0
             roots = self._roots(right=eye.right) if with_rig else (_NOTHING, _NOTHING, _NOTHING, 0)
-            line, usable = _observed(
+            line, usable, grown = _observed(
                 image, drawn, on_edges, bodies, eye.stand(p_n, R_nb), eye.camera.parameters, search_px, config.fit_half_px,
                 farthest_px, config.least_points, own, (rig.p_bc, rig.t_rc), eye.right, on_map, roots, k, A, opened,
             )  # fmt: skip
             lines.append(EdgeLines(*line))
             line_all[:, k], found[:, k] = lines[k].line, lines[k].found
+            cornered[:, k] = np.abs(grown) * self.corner_sigma[edges.landmark] / math.sqrt(2.0)
             points += usable
         kind = np.where(is_small, int(Kind.SMALL), edges.kind)
-        return Observation(edges, samples, block[samples.edge], kind, lines, line_all, found, A, opened, points)
+        return Observation(edges, samples, block[samples.edge], kind, lines, line_all, found, A, opened, cornered, points)
 
     def _roots(self, *, right: bool) -> Roots:
         """Roots of the covariances of camera on body, right against left, this camera's own; columns before these last ones."""
@@ -184,8 +186,9 @@ def _observed(
     image: Image, drawn: Drawn, on_edges: OnEdges, bodies: Bodies, stand: Stand, camera: Array, search: int, fit_half: int,
     farthest: float, least: int, own: int, levers: tuple[Array, Array], right: bool, on_map: tuple[Array, Indices], roots: Roots,
     k: int, A: Array, opened: Array,
-) -> tuple[Line, int]:  # fmt: skip
-    """The fields of EdgeLines of image k, and how many samples are usable; fills A (E, K, 2, 6 + P) and opened (K, E) px^2.
+) -> Seen:  # fmt: skip
+    """The fields of EdgeLines of image k, how many samples are usable, px (E,) by which offsets grow with a metre of the outline;
+    fills A (E, K, 2, 6 + P) and opened (K, E) px^2.
 
     drawn: ModelEdges; on_edges: Samples, their blocks, and which are of small landmarks; bodies: Prisms; stand: as Eye.stand;
     search: half its width, px, 0: a sub-pixel fit; own: parameters of the camera that may be wrong; levers: p_bc, t_rc; on_map,
@@ -213,7 +216,8 @@ def _observed(
     bc, rc, own_root, own_skipped = roots
     rows, of_camera = derived(row_c, x_c, normal, points, t, edge, map_start, map_end, *stand, camera, own, *levers, right)
     _dependence(A, k, line[2], rows, of_camera, block, landmark, map_sigma, map_column, bc, rc, own_root, own_skipped)
-    return line, int(np.count_nonzero(usable))
+    growth = np.ascontiguousarray(rows[:, MAPPED_FROM + MapError.GROWTH, None])
+    return line, int(np.count_nonzero(usable)), compress(line[2], growth, block, len(kind))[:, 0, 0]
 
 
 @njit(cache=True)

@@ -12,6 +12,7 @@ the joint optimum,
 or of those directions in which they say anything (information.py).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
@@ -29,6 +30,7 @@ from models.messages import Array
 from vision.identify.ambiguity import ANY_TURN_RAD, alternatives, round_landmarks
 from vision.identify.identify import Prior
 from vision.outline.edge_noise import NoiseConfig, line_covariance
+from vision.pose.corner_errors import by_corners, repeating
 from vision.pose.information import Measured
 from vision.pose.least_squares import POSE, Solution, System, distances, solve, solve_robustly
 from vision.pose.observation import Image, Observation, ObservationConfig, Scene
@@ -38,6 +40,7 @@ Pose = tuple[Array, Array]  # p_n (3,), R_nb (3, 3)
 _MOST = 0.8  # if so many offsets are within the first fit's reach, no further search is needed
 _SETTLED_PX = 0.8  # a step that moves the edges by less, RMS, is followed by no further observation
 _APART = 30.0  # squared Mahalanobis distance from which two poses are two
+_MOST_ERRORS = 8  # of each landmark, in a fix
 _LARGEST_TURN_RAD = 0.2  # in the last step
 _STRAIGHT_PX, _MORE_OBSERVATIONS = 0.02, 3  # by so little may the last step bend; or it is done again from where it leads
 
@@ -301,7 +304,9 @@ def _robust_step(fit: _Fit, seen: Observation, common_px: float) -> Solution:
 
 def _final_step(fit: _Fit, seen: Observation, config: PoseConfig) -> tuple[System, Solution]:
     """With the lines' own covariance; edges that do not fit are left out one after the other."""
-    R = line_covariance(seen.lines, seen.block, seen.kind, seen.opened, config.noise)
+    own = by_corners(seen.cornered)
+    covariance = line_covariance(seen.lines, seen.block, seen.kind, seen.opened, config.noise)
+    R = covariance + (own @ own.transpose(0, 2, 1)).reshape(covariance.shape)
     system = _system(seen, R, fit.turned(seen))
     weight = np.ones(len(system.z))
     for _ in range(int(config.most_left_out * len(weight)) + 1):
@@ -338,6 +343,11 @@ def _report(fit: _Fit, seen: Observation, system: System, step: Solution, config
     image, moved = measured.covariances(system, step.omega, factor)
     common = moved @ moved.T
     by_landmark, by_rig = _separated(moved, fit)
+    if seen.cornered.any():
+        own = math.sqrt(factor) * measured.moved_by(system, step.omega, factor, by_corners(seen.cornered))
+        again = repeating(own, seen.edges.landmark, len(by_landmark), _MOST_ERRORS - by_landmark.shape[2])
+        repeated = np.einsum("lik,ljk->ij", again, again)
+        image, common, by_landmark = image - repeated, common + repeated, np.concatenate((by_landmark, again), axis=2)
     image = image * max(measured.surprise(delta, image + common, config.surprise), 1.0)
     joint_p_n, joint_R_nb, joint = combine(fit.prior, p_n, R_nb, image + common, directions, readings)
     return PoseEstimate(

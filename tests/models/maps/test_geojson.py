@@ -45,6 +45,7 @@ def test_a_plain_polygon_becomes_a_landmark_with_defaults() -> None:
     assert landmark.fill_ratio == pytest.approx(1.0, abs=1e-6)
     assert landmark.centre_n == pytest.approx((0.0, 0.0), abs=1e-4)
     assert (landmark.height_m, landmark.height_sigma_m, landmark.sigma_m, landmark.outline_sigma_m) == (6.0, 3.0, 0.7, 0.3)
+    assert landmark.corner_sigma_m == 0.3, "a person's outline errs at each corner as much as all around"
     assert (landmark.id, landmark.colour_bgr, landmark.weights) == ("#1", None, WEIGHTS)
     assert landmark.base_d == pytest.approx(0.0, abs=1e-4)
     assert the_map.report.missing == {"height_m": 1, "sigma_m": 1, "ground_alt_m": 1, "colour": 1}
@@ -220,7 +221,7 @@ def test_tenth_of_a_millimetre_edges_are_no_corners() -> None:
 def test_what_is_written_comes_back() -> None:
     first = read(
         feature(id="a", height=7, colour="teal", sigma_m=0.25, ground_alt_m=412.5, name="Müller's shed", weights=[1, 2, 3, 4]),
-        feature([ring(5000.0, -8000.0)], id="b", height_m=0, outline_sigma_m=0.05),
+        feature([ring(5000.0, -8000.0)], id="b", height_m=0, outline_sigma_m=0.05, corner_sigma_m=0.02),
     )
     again = LandmarkMap.from_geojson(first.to_geojson())
     assert again.origin == first.origin
@@ -228,7 +229,8 @@ def test_what_is_written_comes_back() -> None:
     for old, new in zip(first, again, strict=True):
         np.testing.assert_allclose(new.outline_n, old.outline_n, atol=2e-4)
         assert new.base_d == pytest.approx(old.base_d, abs=1e-3)
-        for name in ("id", "name", "height_m", "colour_bgr", "sigma_m", "height_sigma_m", "outline_sigma_m", "weights"):
+        names = ("id", "name", "height_m", "colour_bgr", "sigma_m", "height_sigma_m", "outline_sigma_m", "corner_sigma_m")
+        for name in (*names, "weights"):
             assert getattr(new, name) == getattr(old, name), name
     assert LandmarkMap.from_geojson(again.to_geojson()).to_geojson() == again.to_geojson()
 
@@ -238,8 +240,9 @@ def test_the_file_is_geojson_with_the_description_in_it() -> None:
     (it,) = written["features"]
     assert written["landfix"]["origin"] == list(ORIGIN)
     assert it["properties"] == {
-        "height_m": 6.0, "height_sigma_m": 3.0, "sigma_m": 0.5, "outline_sigma_m": 0.3, "ground_alt_m": 400.0, "size_m2": 96.0,
-        "width_m": 8.0, "length_m": 12.0, "fill_ratio": 1.0, "orientation_deg": pytest.approx(0.0, abs=0.01), "colour": "#102030",
+        "height_m": 6.0, "height_sigma_m": 3.0, "sigma_m": 0.5, "outline_sigma_m": 0.3, "ground_alt_m": 400.0,
+        "corner_sigma_m": 0.3, "size_m2": 96.0, "width_m": 8.0, "length_m": 12.0,
+        "fill_ratio": 1.0, "orientation_deg": pytest.approx(0.0, abs=0.01), "colour": "#102030",
     }  # fmt: skip
     outer = it["geometry"]["coordinates"][0]
     assert outer[0] == outer[-1]

@@ -1,0 +1,35 @@
+"""What errors of an outline's single corners do to its edges, and through them to the pose.
+
+    offset = n^T (e_1 + e_2) / 2,   tilt = n^T (e_2 - e_1) / 2,   e ~ N(0, sigma^2 I)
+
+n: normal of an edge, e_1, e_2: errors of its two corners. Offset and tilt both have the variance sigma^2 / 2 and are independent.
+Edges that meet at a right angle are independent too, since they meet the same corner's error along different axes. An outline
+that is shifted or grown as a whole is not of this kind: its edges err together (MapError).
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.measurements import DIRECTION_SCALE
+from models.messages import Array
+from vision.pose.least_squares import POSE
+
+
+def by_corners(cornered: Array) -> Array:
+    """B (E, 2 K, 2): offset and tilt of each edge in K images by two errors of variance 1; cornered (E, K): as Observation."""
+    own = np.zeros((*cornered.shape, 2, 2))
+    own[:, :, 0, 0] = own[:, :, 1, 1] = cornered
+    return own.reshape(len(own), -1, 2)
+
+
+def repeating(moved: Array, landmark: NDArray[np.int64], count: int, room: int) -> Array:
+    """(L, 6, room): the largest part, as errors of variance 1, of how the edges' own errors (E, 6, c) move the pose.
+
+    landmark (E,): of the edges, count of them. These errors repeat while the same edges are seen. What so few numbers cannot hold
+    counts as new in each image.
+    """
+    whole = np.zeros((count, POSE, POSE))
+    np.add.at(whole, landmark, moved @ moved.transpose(0, 2, 1))
+    values, vectors = np.linalg.eigh(whole / DIRECTION_SCALE[:, None] / DIRECTION_SCALE)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    return np.asarray(DIRECTION_SCALE[:, None] * root[:, :, ::-1][:, :, :room])
