@@ -1,5 +1,6 @@
 """PX4's zenoh module as it hears us: keys, bytes, its own clock, and nothing that it would count twice."""
 
+import inspect
 import math
 import threading
 import time
@@ -122,8 +123,8 @@ class _Px4:
         """A VehicleLocalPosition with this reference, NaN: with none; by the names of its fields."""
         known = not math.isnan(lat)
         now_us = (time.time_ns() - self._started_ns) // 1000
-        fields = STORE.types[px4.VEHICLE_LOCAL_POSITION].__dataclass_fields__
-        values: dict[str, Any] = {name: 0 for name in fields if not name.startswith("__")}
+        fields = inspect.signature(STORE.types[px4.VEHICLE_LOCAL_POSITION]).parameters
+        values: dict[str, Any] = dict.fromkeys((name for name in fields if name != "__msgtype__"), 0)
         values |= {"delta_xy": np.zeros(2, np.float32), "delta_vxy": np.zeros(2, np.float32), "timestamp": now_us}
         values |= {"xy_global": known, "z_global": known, "ref_lat": lat, "ref_lon": lon, "ref_alt": sea_m, "x": 55.0, "eph": 3.0}
         values |= dict.fromkeys(("dist_bottom_valid", "heading_good_for_control"), True)
@@ -181,11 +182,6 @@ def test_px4_is_reported_in_its_own_time_what_it_does_not_know_itself(tmp_path: 
     assert abs(fixes[-1].lat - lla[0]) < 1e-4
     assert abs(fixes[-1].lon - lla[1]) < 1e-4
     assert np.hypot(*odometry[-1].position[:2]) == pytest.approx(RADIUS_M, abs=1.5)
-
-
-def _place(p_n: tuple[float, float, float]) -> tuple[float, float, float]:
-    lat, lon, ellipsoid = ORIGIN.to_geodetic(p_n)
-    return lat, lon, ellipsoid - GEOID_M
 
 
 def test_odometry_counts_from_the_origin_that_px4_has_itself(tmp_path: Path) -> None:
