@@ -64,6 +64,13 @@ class Px4Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     enabled: Annotated[bool, Meta(description="whether the estimate is sent to PX4")] = False
     odometry: Annotated[bool, Meta(description="vehicle_visual_odometry, for EKF2_EV_CTRL")] = True
     fixes: Annotated[bool, Meta(description="aux_global_position, for EKF2_AGPx")] = True
+    origin: Annotated[
+        Literal["read", "map"],
+        Meta(
+            description="where odometry counts from while vehicle_local_position has no reference; read: quality -1 until it has "
+            "one; map: PX4's local frame begins at our origin (no GNSS in PX4)"
+        ),
+    ] = "read"
     release: Annotated[Literal["1.17", "1.18"], Meta(description="of PX4; 1.17 also for 1.16, 1.18 also for newer ones")] = "1.18"
     slot: Annotated[int, Meta(ge=1, le=255, description="EKF2_AGPx_ID of the slot that the fixes are for")] = 1
 

@@ -1,6 +1,6 @@
-"""The messages of PX4 that we send, as its zenoh module expects them: XCDR1, little endian, fields in the order of the .msg file.
+"""PX4's messages, those that we send and one that we read: XCDR1, little endian, fields in the order of the .msg file.
 
-The definitions are written out for their hashes, which are part of the keys; the bytes are packed by hand.
+The definitions are written out for their hashes, which are part of the keys; the bytes are packed and read by hand.
 """
 
 import math
@@ -18,6 +18,7 @@ from models.state import E, X
 VEHICLE_ODOMETRY: Final = "px4_msgs/msg/VehicleOdometry"
 AUX_GLOBAL_POSITION: Final = "px4_msgs/msg/AuxGlobalPosition"
 VEHICLE_GLOBAL_POSITION: Final = "px4_msgs/msg/VehicleGlobalPosition"
+VEHICLE_LOCAL_POSITION: Final = "px4_msgs/msg/VehicleLocalPosition"  # the same in 1.16 to 1.18
 
 DEFINITIONS: Final = {
     VEHICLE_ODOMETRY: """\
@@ -83,12 +84,71 @@ float32 terrain_alt
 bool terrain_alt_valid
 bool dead_reckoning
 """,
+    VEHICLE_LOCAL_POSITION: """\
+uint64 timestamp
+uint64 timestamp_sample
+bool xy_valid
+bool z_valid
+bool v_xy_valid
+bool v_z_valid
+# m, NED; the last reset, and how many there were
+float32 x
+float32 y
+float32 z
+float32[2] delta_xy
+uint8 xy_reset_counter
+float32 delta_z
+uint8 z_reset_counter
+# m/s
+float32 vx
+float32 vy
+float32 vz
+float32 z_deriv
+float32[2] delta_vxy
+uint8 vxy_reset_counter
+float32 delta_vz
+uint8 vz_reset_counter
+float32 ax
+float32 ay
+float32 az
+float32 heading
+float32 heading_var
+float32 unaided_heading
+float32 delta_heading
+uint8 heading_reset_counter
+bool heading_good_for_control
+float32 tilt_var
+# whether the frame has a place on Earth; deg, m above mean sea level
+bool xy_global
+bool z_global
+uint64 ref_timestamp
+float64 ref_lat
+float64 ref_lon
+float32 ref_alt
+bool dist_bottom_valid
+float32 dist_bottom
+float32 dist_bottom_var
+float32 delta_dist_bottom
+uint8 dist_bottom_reset_counter
+uint8 dist_bottom_sensor_bitfield
+float32 eph
+float32 epv
+float32 evh
+float32 evv
+bool dead_reckoning
+float32 vxy_max
+float32 vz_max
+float32 hagl_min
+float32 hagl_max_z
+float32 hagl_max_xy
+""",
 }
 
 _HEAD: Final = b"\x00\x01\x00\x00"
 _ODOMETRY: Final = struct.Struct("<4sQQB3x3f4fB3x3f3f3f3f3fBb")
 _AUX: Final = struct.Struct("<4sQQBB6xddfffB")
 _GLOBAL: Final = struct.Struct("<4sQQddff??2xffBBBxfff??")
+_REFERENCE: Final = struct.Struct("<4x124x??2x8xddf")  # of VehicleLocalPosition, from xy_global to ref_alt
 _NED, _VISION = 1, 2
 _BYTE: Final = 256
 
@@ -101,11 +161,25 @@ def type_hash(schema: str) -> str:
     return store.hash_rihs01(schema)
 
 
-def vehicle_odometry(e: Estimate, sent_us: int, sample_us: int, counter: int, quality: int) -> bytes | None:
-    """The estimate in NED; attitude variances about the body's axes, as ours are. None, here and below: a number does not fit."""
-    q = so3.normalise(e.nav[X.Q])
+def local_reference(data: bytes) -> Vec3 | None:
+    """Of a VehicleLocalPosition: the place of x = y = z = 0, degrees and m above the sea; None: it has none, or is too short."""
+    if len(data) < _REFERENCE.size:
+        return None
+    xy_global, z_global, lat, lon, alt = _REFERENCE.unpack_from(data)
+    return (lat, lon, alt) if xy_global and z_global else None
+
+
+def vehicle_odometry(
+    e: Estimate, pose: tuple[Vec3, Array], sent_us: int, sample_us: int, counter: int, quality: int
+) -> bytes | None:
+    """The estimate in NED; attitude variances about the body's axes, as ours are. None, here and below: a number does not fit.
+
+    pose: position and q_nb in PX4's local frame (local_frame.py). The velocity is turned into it: v = R_pose R_nb^T v_n.
+    """
+    p_local, q_local = pose
+    v_local = so3.matrix(q_local) @ so3.matrix(so3.normalise(e.nav[X.Q])).T @ e.nav[X.V]
     v = np.diag(e.covariance)
-    numbers = vec3(e.nav[X.P]), tuple(q.tolist()), vec3(e.nav[X.V]), e.gyro_b, vec3(v[E.P]), vec3(v[E.THETA]), vec3(v[E.V])
+    numbers = p_local, tuple(q_local.tolist()), vec3(v_local), e.gyro_b, vec3(v[E.P]), vec3(v[E.THETA]), vec3(v[E.V])
     p, q_nb, velocity, gyro, var_p, var_theta, var_v = numbers
     return _packed(
         _ODOMETRY, sent_us, sample_us, _NED, *p, *q_nb, _NED, *velocity, *gyro, *var_p, *var_theta, *var_v, counter, quality

@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from estimator.publish import Pace
 from estimator.service.autopilot.clock import AutopilotClock
+from estimator.service.autopilot.local_frame import LocalOrigin
 from estimator.service.autopilot.output_policy import OutputPolicy, is_sound, newest
 from estimator.service.base.clock import SECOND_NS, Clock
 from estimator.service.base.ports import Inbox
@@ -19,7 +20,6 @@ from estimator.service.mavlink import codec
 from estimator.service.mavlink.config import MavlinkConfig, address_of, signing_key
 from estimator.service.mavlink.inputs import Inputs
 from estimator.service.mavlink.io import opened
-from estimator.service.mavlink.local_frame import LocalOrigin
 from estimator.service.mavlink.wire import Wire
 from estimator.strict_toml import ConfigError
 from logs.wire.codec import Encoded, Topics
@@ -37,6 +37,7 @@ _IMPLAUSIBLE_NS: Final = 2 * SECOND_NS  # a stamp further from now than this is 
 _ODOMETRIES: Final = frozenset({"ODOMETRY", "VISION_POSITION_DELTA"})
 _TURN_S: Final = 0.02  # the thread looks at the time this often
 _US_NS: Final = 1_000
+_DEGREES, _METRES = 1e-7, 1e-3  # of GPS_GLOBAL_ORIGIN
 _EKFS: Final = {codec.PX4: "EKF2", codec.ARDUPILOT: "EKF3"}
 _AUTOPILOTS: Final = {"px4": codec.PX4, "ardupilot": codec.ARDUPILOT}
 _NAMES: Final = {number: name for name, number in _AUTOPILOTS.items()}
@@ -147,7 +148,7 @@ class MavlinkLink:
             "reboots": self._boot.reboots,
             "implausible_stamps": self._boot.implausible + self.implausible_companions,
             **self._inputs.report(),
-            "ekf_origin": self._local.report(self._map_origin, self._geoid_m, is_px4=self._autopilot == codec.PX4),
+            "ekf_origin": self._local.report(self._map_origin, self._geoid_m, from_ours=self._autopilot == codec.PX4),
             "odometry": self.sent_odometry,
             "quality": "none sent" if self._quality is None else self._quality,
             "fixes": self.sent_fixes,
@@ -277,7 +278,7 @@ class MavlinkLink:
         elif kind == "SYSTEM_TIME":
             self._hear_system_time(message, now_ns)
         elif kind == "GPS_GLOBAL_ORIGIN":
-            self._local.hear(message)
+            self._local.hear(message.latitude * _DEGREES, message.longitude * _DEGREES, message.altitude * _METRES)
         elif kind == "COMMAND_ACK":
             asked = message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
             refused = asked and message.result not in _IN_PROGRESS

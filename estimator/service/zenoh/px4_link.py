@@ -1,7 +1,8 @@
 """PX4's zenoh module as an Outbox: vehicle_visual_odometry all the time, aux_global_position when a fix entered.
 
 PX4 uses timestamp_sample as it comes, in us since its own start, and nothing on this way translates it: so we learn its clock
-from what it publishes itself (fmu/out/...) and send nothing before that.
+from what it publishes itself (fmu/out/...) and send nothing before that. It takes positions to count from the origin of its EKF2,
+which vehicle_local_position has: until that is known odometry has quality -1.
 """
 
 import struct
@@ -13,18 +14,21 @@ import zenoh
 from estimator.publish import Pace
 from estimator.service.autopilot import px4_messages as px4
 from estimator.service.autopilot.clock import AutopilotClock
+from estimator.service.autopilot.local_frame import LocalOrigin
 from estimator.service.autopilot.output_policy import OutputPolicy, Px4Config, is_sound, newest
 from estimator.service.base.clock import SECOND_NS, Clock
 from estimator.service.zenoh.keys import rmw_key
 from logs.wire.codec import Encoded
+from models import so3
 from models.frames import Origin
-from models.messages import Estimate, Output, vec3
+from models.messages import Array, Estimate, Output, Vec3, vec3
 from models.state import X
 
 _TIMESTAMP: Final = struct.Struct("<4xQ")  # behind the encapsulation every message of PX4 begins with it, us
 _SENT: Final = struct.Struct("<8xQ17x")  # of the attachment, us
 _US: Final = 1_000
 _STALE_NS: Final = 60 * SECOND_NS
+_REFERENCE_NS: Final = 3 * SECOND_NS  # without a local position its reference may be another one
 
 
 class Px4Link:
@@ -43,8 +47,12 @@ class Px4Link:
         self._config, self._clock, self._policy, self._geoid_m = config, clock, policy, geoid_m
         self._pace = Pace(odometry_hz)
         self._boot, self._heard_ns = AutopilotClock(), 0
+        self._local, self._reference_ns = LocalOrigin(), 0
+        self._has_none = True  # as far as it has said since its boot; silence later on is no such word
+        self._map_origin: Vec3 | None = None
+        self._quality: int | None = None  # of the last odometry
         self._fix_waits = False
-        self.sent_odometry = self.sent_fixes = self.unsent = self.out_of_range = 0
+        self.sent_odometry = self.sent_fixes = self.unsent = self.out_of_range = self.implausible_references = 0
         fix_type = px4.AUX_GLOBAL_POSITION if config.release == "1.18" else px4.VEHICLE_GLOBAL_POSITION
         drop: Any = {"congestion_control": zenoh.CongestionControl.DROP, "express": True}
         keys = {
@@ -52,6 +60,9 @@ class Px4Link:
             for topic, schema in (("vehicle_visual_odometry", px4.VEHICLE_ODOMETRY), ("aux_global_position", fix_type))
         }
         self._odometry, self._fix = (session.declare_publisher(key, **drop) for key in keys.values())
+        self._local_key = rmw_key(
+            domain, "fmu/out/vehicle_local_position", px4.VEHICLE_LOCAL_POSITION, px4.type_hash(px4.VEHICLE_LOCAL_POSITION)
+        )
         self._subscriber = session.declare_subscriber(f"{domain}/fmu/out/**", self._hear)
 
     def send(self, outputs: Sequence[Output], encoded: Sequence[Encoded]) -> None:  # noqa: ARG002  (an Outbox is given both)
@@ -70,9 +81,7 @@ class Px4Link:
             return
         try:
             if self._config.odometry and self._pace.due(estimate.t_ns):
-                quality = self._policy.quality(estimate, one_source_at_a_time=False)
-                counter = self._policy.reset_counter(estimate, vec3(estimate.nav[X.P]), quality)
-                data = px4.vehicle_odometry(estimate, sent_ns // _US, sample_ns // _US, counter, quality)
+                data = self._vehicle_odometry(estimate, now_ns, sent_ns // _US, sample_ns // _US)
                 self.sent_odometry += self._put(self._odometry, data)
             if self._fix_waits:
                 self._fix_waits = False
@@ -90,11 +99,32 @@ class Px4Link:
             "clock_ahead_s": "unknown" if ahead_ns is None else f"{ahead_ns * 1e-9:.6f}",
             "reboots": self._boot.reboots,
             "implausible_stamps": self._boot.implausible,
+            "ekf_origin": self._local.report(self._map_origin, self._geoid_m, from_ours=self._from_ours),
+            "implausible_references": self.implausible_references,
             "odometry": self.sent_odometry,
+            "quality": "none sent" if self._quality is None else self._quality,
             "fixes": self.sent_fixes,
             "unsent": self.unsent,
             "out_of_range": self.out_of_range,
         }
+
+    @property
+    def _from_ours(self) -> bool:
+        return self._config.origin == "map"
+
+    def _vehicle_odometry(self, estimate: Estimate, now_ns: int, sent_us: int, sample_us: int) -> bytes | None:
+        """In PX4's local frame; not to be used while that is not known."""
+        if now_ns - self._reference_ns > _REFERENCE_NS:
+            self._local.forget()
+        self._map_origin = estimate.origin
+        ours: tuple[Vec3, Array] = vec3(estimate.nav[X.P]), so3.normalise(estimate.nav[X.Q])
+        pose = self._local.pose(estimate, self._geoid_m, is_px4=True)
+        if pose is None and self._has_none and self._from_ours:
+            pose = ours
+        quality = self._policy.quality(estimate, one_source_at_a_time=False) if pose else -1
+        pose, self._quality = pose or ours, quality
+        counter = self._policy.reset_counter(estimate, pose[0], quality)
+        return px4.vehicle_odometry(estimate, pose, sent_us, sample_us, counter, quality)
 
     def _tell_fix(self, estimate: Estimate, sent_us: int, sample_us: int) -> None:
         origin = Origin.of(estimate.origin)
@@ -125,5 +155,25 @@ class Px4Link:
             (sent_us,) = _TIMESTAMP.unpack_from(payload)
         else:
             return
-        if self._boot.t_ns(sent_us * _US, arrived_ns) is not None:
+        before = self._boot.reboots
+        heard = self._boot.t_ns(sent_us * _US, arrived_ns) is not None
+        if self._boot.reboots != before:
+            self._local.forget()
+            self._has_none = True
+        if heard:
             self._heard_ns = arrived_ns
+            if str(sample.key_expr) == self._local_key:
+                self._hear_reference(payload, arrived_ns)
+
+    def _hear_reference(self, payload: bytes, arrived_ns: int) -> None:
+        """Where its local frame begins; it may lose that, or move it."""
+        place = px4.local_reference(payload)
+        self._reference_ns, self._has_none = arrived_ns, place is None
+        if place is None:
+            self._local.forget()
+            return
+        try:
+            self._local.hear(*place)
+        except ValueError:
+            self._local.forget()
+            self.implausible_references += 1

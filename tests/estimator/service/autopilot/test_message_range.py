@@ -28,7 +28,7 @@ from estimator.service.mavlink.config import MavlinkConfig
 from estimator.service.mavlink.link import MavlinkLink
 from estimator.service.run import _NoLog
 from models import so3
-from models.messages import AidStatus, Estimate, Mode, Reason
+from models.messages import AidStatus, Estimate, Mode, Reason, vec3
 from models.state import X
 
 SECOND = 1_000_000_000
@@ -139,8 +139,9 @@ def test_whatever_the_numbers_px4_gets_them_or_nothing(
 ) -> None:
     if not is_sound(e):
         e = _estimate()
+    pose = vec3(e.nav[X.P]), so3.normalise(e.nav[X.Q])
     for data, schema in (
-        (px4.vehicle_odometry(e, sent_us, sample_us, 7, 100), px4.VEHICLE_ODOMETRY),
+        (px4.vehicle_odometry(e, pose, sent_us, sample_us, 7, 100), px4.VEHICLE_ODOMETRY),
         (px4.aux_global_position(e, lla, 47.5, sent_us, sample_us, 1), px4.AUX_GLOBAL_POSITION),
         (px4.vehicle_global_position(e, lla, 47.5, sent_us, sample_us), px4.VEHICLE_GLOBAL_POSITION),
     ):

@@ -14,12 +14,12 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from benchmarks.service.vehicle import ORIGIN, truth
 from estimator.config import parse
+from estimator.service.autopilot.local_frame import LocalOrigin
 from estimator.service.autopilot.output_policy import AutopilotConfig, OutputPolicy
 from estimator.service.base.clock import Clock
 from estimator.service.daemon import Daemon
 from estimator.service.mavlink.config import MavlinkConfig
 from estimator.service.mavlink.link import MavlinkLink
-from estimator.service.mavlink.local_frame import LocalOrigin
 from estimator.strict_toml import ConfigError
 from logs.wire.codec import Topics
 from models import so3

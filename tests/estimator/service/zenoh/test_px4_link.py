@@ -1,5 +1,8 @@
 """PX4's zenoh module as it hears us: keys, bytes, its own clock, and nothing that it would count twice."""
 
+import inspect
+import math
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -19,6 +22,7 @@ from models.state import E, X
 from tests.estimator.service.flying import client, fly, free_port, in_thread, status, toml, until
 
 SECOND = 1_000_000_000
+GEOID_M = 47.5
 T0 = 1_795_000_000 * SECOND
 STORE = get_typestore(Stores.EMPTY)
 for name, text in px4.DEFINITIONS.items():
@@ -32,6 +36,12 @@ KEYS = {
     px4.VEHICLE_GLOBAL_POSITION: "0/fmu/in/aux_global_position/px4_msgs::msg::dds_::VehicleGlobalPosition_/"
     "RIHS01_cf9a06f6a8c328f7200984e3aabc0fb76fde3b1fa693baff68ebaf162d2fdc60",
 }
+
+
+LOCAL_POSITION_KEY = (
+    "0/fmu/out/vehicle_local_position/px4_msgs::msg::dds_::VehicleLocalPosition_/"
+    "RIHS01_690ad535169297241c696494adbd98bbdc45566645026fe7963513a29a1bf144"
+)
 
 
 def _estimate(t_ns: int = T0, mode: Mode = Mode.AIDED) -> Estimate:
@@ -49,16 +59,18 @@ def test_definitions_have_the_hashes_that_px4_has_in_its_keys(schema: str) -> No
 
 def test_vehicle_odometry_is_read_as_it_was_meant() -> None:
     e = _estimate()
-    data = px4.vehicle_odometry(e, 5_000_000, 4_990_000, 2, 87)
+    q_local = so3.from_euler(0.1, -0.2, 2.1)  # the north there is 0.1 rad away from ours
+    data = px4.vehicle_odometry(e, ((301.0, -99.0, 7.0), q_local), 5_000_000, 4_990_000, 2, 87)
     assert data is not None
     assert len(data) == 118
     read: Any = STORE.deserialize_cdr(data, px4.VEHICLE_ODOMETRY)
     assert bytes(STORE.serialize_cdr(read, px4.VEHICLE_ODOMETRY)) == data
     assert (read.timestamp, read.timestamp_sample, read.pose_frame, read.velocity_frame) == (5_000_000, 4_990_000, 1, 1)
     assert (read.reset_counter, read.quality) == (2, 87)
-    np.testing.assert_allclose(read.position, e.nav[X.P], rtol=1e-6)
-    np.testing.assert_allclose(read.q, e.nav[X.Q], rtol=1e-6)
-    np.testing.assert_allclose(read.velocity, e.nav[X.V], rtol=1e-6)
+    np.testing.assert_allclose(read.position, (301.0, -99.0, 7.0), rtol=1e-6)
+    np.testing.assert_allclose(read.q, q_local, rtol=1e-6)
+    in_body = so3.matrix(e.nav[X.Q]).T @ e.nav[X.V]
+    np.testing.assert_allclose(so3.matrix(np.array(read.q, dtype=float)).T @ read.velocity, in_body, rtol=1e-5)
     np.testing.assert_allclose(read.angular_velocity, e.gyro_b, rtol=1e-6)
     for part, name in ((E.P, "position"), (E.THETA, "orientation"), (E.V, "velocity")):
         np.testing.assert_allclose(getattr(read, f"{name}_variance"), np.diag(e.covariance)[part], rtol=1e-6)
@@ -107,6 +119,21 @@ class _Px4:
         payload = b"\0\1\0\0" + max(0, now_us - 30_000).to_bytes(8, "little")  # its own stamp is older
         self._session.put(key, payload, attachment=attachment(1, now_us, bytes(16)))
 
+    def say_where(self, lat: float, lon: float, sea_m: float) -> None:
+        """A VehicleLocalPosition with this reference, NaN: with none; by the names of its fields."""
+        known = not math.isnan(lat)
+        now_us = (time.time_ns() - self._started_ns) // 1000
+        fields = inspect.signature(STORE.types[px4.VEHICLE_LOCAL_POSITION]).parameters
+        values: dict[str, Any] = dict.fromkeys((name for name in fields if name != "__msgtype__"), 0)
+        values |= {"delta_xy": np.zeros(2, np.float32), "delta_vxy": np.zeros(2, np.float32), "timestamp": now_us}
+        values |= {"xy_global": known, "z_global": known, "ref_lat": lat, "ref_lon": lon, "ref_alt": sea_m, "x": 55.0, "eph": 3.0}
+        values |= dict.fromkeys(("dist_bottom_valid", "heading_good_for_control"), True)
+        message = STORE.types[px4.VEHICLE_LOCAL_POSITION](
+            **{k: v for k, v in values.items() if k in fields and k != "__msgtype__"}
+        )
+        payload = bytes(STORE.serialize_cdr(message, px4.VEHICLE_LOCAL_POSITION))
+        self._session.put(LOCAL_POSITION_KEY, payload, attachment=attachment(1, now_us, bytes(16)))
+
     def reboot(self) -> None:
         self._started_ns = time.time_ns() - 5 * SECOND
 
@@ -117,7 +144,8 @@ class _Px4:
 @pytest.mark.parametrize("release", ["1.17", "1.18"])
 def test_px4_is_reported_in_its_own_time_what_it_does_not_know_itself(tmp_path: Path, release: str) -> None:
     port = free_port()
-    text = toml(tmp_path, port) + f'[px4]\nenabled = true\nrelease = "{release}"\nslot = 2\n[autopilot]\ngnss_quiet_s = 1.5\n'
+    keys = f'enabled = true\nrelease = "{release}"\nslot = 2\norigin = "map"\n'
+    text = f"{toml(tmp_path, port)}[px4]\n{keys}[autopilot]\ngnss_quiet_s = 1.5\n"
     wanted = px4.AUX_GLOBAL_POSITION if release == "1.18" else px4.VEHICLE_GLOBAL_POSITION
     with in_thread(parse(text), tmp_path), client(port) as session, client(port) as vehicle:
         autopilot = _Px4(session)
@@ -154,3 +182,85 @@ def test_px4_is_reported_in_its_own_time_what_it_does_not_know_itself(tmp_path: 
     assert abs(fixes[-1].lat - lla[0]) < 1e-4
     assert abs(fixes[-1].lon - lla[1]) < 1e-4
     assert np.hypot(*odometry[-1].position[:2]) == pytest.approx(RADIUS_M, abs=1.5)
+
+
+def test_odometry_counts_from_the_origin_that_px4_has_itself(tmp_path: Path) -> None:
+    """The vehicle circles about our origin; EKF2 has its own 250 m north, 180 m west and 12 m above it."""
+    port, there, elsewhere = free_port(), (250.0, -180.0, -12.0), (-250.0, 0.0, 0.0)
+    own = "[autopilot]\nown_gnss = false\n"
+    text = toml(tmp_path, port).replace("[zenoh]", f"geoid_m = {GEOID_M}\n[zenoh]", 1) + "[px4]\nenabled = true\n" + own
+    with in_thread(parse(text), tmp_path), client(port) as session, client(port) as vehicle:
+        autopilot = _Px4(session)
+        for _ in range(5):
+            autopilot.speak()
+        fly(vehicle, 1.5)
+        unknown = _sent(autopilot, vehicle, None)
+        nowhere = _sent(autopilot, vehicle, (math.nan, math.nan, math.nan))
+        implausible = _sent(autopilot, vehicle, (200.0, 0.0, 0.0))
+        known = _sent(autopilot, vehicle, _place(there))
+        moved = _sent(autopilot, vehicle, _place(elsewhere))
+        time.sleep(3.1)
+        silent = _sent(autopilot, vehicle, None)
+        until(lambda: status(session).get("px4 quality") == "-1", "the status reports PX4")
+        said = status(session)
+    for group in (unknown, nowhere, implausible, silent):
+        assert {m.quality for m in group} == {-1}
+    _assert_circle(known, there)
+    _assert_circle(moved, elsewhere)
+    assert known[-1].reset_counter != moved[-1].reset_counter
+    assert int(said["px4 implausible_references"]) > 0
+    assert said["px4 ekf_origin"] == "not known: ODOMETRY has quality -1"
+
+
+def test_without_gnss_px4_begins_where_we_do_if_so_configured(tmp_path: Path) -> None:
+    port = free_port()
+    text = toml(tmp_path, port) + '[px4]\nenabled = true\norigin = "map"\n[autopilot]\nown_gnss = false\n'
+    with in_thread(parse(text), tmp_path), client(port) as session, client(port) as vehicle:
+        autopilot = _Px4(session)
+        for _ in range(5):
+            autopilot.speak()
+        fly(vehicle, 1.5)
+        ours = _sent(autopilot, vehicle, None)
+        theirs = _sent(autopilot, vehicle, ORIGIN.to_geodetic((0.0, 300.0, 0.0)))
+        time.sleep(3.1)
+        silent = _sent(autopilot, vehicle, None)
+    _assert_circle(ours, (0.0, 0.0, 0.0))
+    _assert_circle(theirs, (0.0, 300.0, 0.0))  # it has one after all: that counts
+    assert {m.quality for m in silent} == {-1}  # not back to ours, 300 m away
+
+
+def _place(p_n: tuple[float, float, float]) -> tuple[float, float, float]:
+    lat, lon, ellipsoid = ORIGIN.to_geodetic(p_n)
+    return lat, lon, ellipsoid - GEOID_M
+
+
+def _sent(autopilot: _Px4, vehicle: zenoh.Session, where: tuple[float, float, float] | None) -> list[Any]:
+    """The odometry of some seconds of flight, while PX4 says ten times a second where its frame begins."""
+    done = threading.Event()
+
+    def speak() -> None:
+        while where is not None and not done.wait(0.1):
+            autopilot.say_where(*where)
+
+    thread = threading.Thread(target=speak)
+    thread.start()
+    time.sleep(0.3)
+    autopilot.heard.clear()
+    heard: list[Any] = []
+    for _ in range(10):  # a busy machine sends fewer
+        fly(vehicle, 1.0)
+        heard = autopilot.of(px4.VEHICLE_ODOMETRY)
+        if len(heard) > 10:
+            break
+    done.set()
+    thread.join()
+    assert len(heard) > 10
+    return heard
+
+
+def _assert_circle(messages: list[Any], origin_n: tuple[float, float, float]) -> None:
+    """Its positions and the origin add up to the circle that is flown; PX4's sphere is 0.3 % off at most."""
+    of_use = [m for m in messages if m.quality >= 0]
+    assert len(of_use) > 2  # the first ones are from before its IMU came back
+    p = np.array([m.position for m in of_use]) + origin_n
+    np.testing.assert_allclose(np.hypot(p[:, 0], p[:, 1]), RADIUS_M, atol=1.5 + 0.003 * np.hypot(*origin_n[:2]))

@@ -1,7 +1,8 @@
-"""The autopilot's local frame, which ODOMETRY is taken to be in: metres from the origin of its EKF, not from that of our map.
+"""The autopilot's local frame, which odometry is taken to be in: metres from the origin of its EKF, not from that of our map.
 
-GPS_GLOBAL_ORIGIN has the origin, where it had its first fix or where somebody set it, with its height above the sea h0. Both
-project the Earth on a plane as a sphere, and what is sent is projected the same way (lat, lon in degrees, h above the sea):
+The origin is where it had its first fix or where somebody set it, with its height above the sea h0: GPS_GLOBAL_ORIGIN over
+MAVLink, the reference of VehicleLocalPosition over Zenoh. Both autopilots project the Earth on a plane as a sphere, and what is
+sent is projected the same way (lat, lon in degrees, h above the sea):
 
     ArduPilot (Location.cpp, get_distance_NE)      north = k (lat - lat0),  k = 111318.845 m
                                                    east  = k (lon - lon0) max(cos((lat + lat0) / 2), 0.01)
@@ -16,7 +17,7 @@ is, ours those of the map's origin: R = C_place C_origin^T R_nb, C the rows nort
 """
 
 import math
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -27,10 +28,8 @@ from models.state import X
 
 _METRES_PER_DEGREE: Final = 111_318.845_021_450_34
 _LEAST_SCALE: Final = 0.01  # of a degree of longitude
-_DEGREES: Final = 1e-7
-_METRES: Final = 1e-3
 _PX4_RADIUS_M: Final = 6_371_000.0
-_MOST_LAT_E7, _MOST_LON_E7 = 900_000_000, 1_800_000_000
+_MOST_LAT_DEG, _MOST_LON_DEG = 90.0, 180.0
 
 
 class LocalOrigin:
@@ -39,12 +38,12 @@ class LocalOrigin:
     def __init__(self) -> None:
         self.place: Vec3 | None = None  # degrees, and m above the sea
 
-    def hear(self, message: Any) -> None:
-        """GPS_GLOBAL_ORIGIN. Raises ValueError for what is no place."""
-        lat, lon = message.latitude, message.longitude
-        if abs(lat) > _MOST_LAT_E7 or abs(lon) > _MOST_LON_E7 or lat == lon == 0:
-            raise ValueError(f"latitude, longitude = {lat}, {lon} * 1e-7 deg: is no place")
-        self.place = lat * _DEGREES, lon * _DEGREES, message.altitude * _METRES
+    def hear(self, lat_deg: float, lon_deg: float, sea_m: float) -> None:
+        """Where it is; sea_m: its height above the sea. Raises ValueError for what is no place."""
+        is_place = abs(lat_deg) <= _MOST_LAT_DEG and abs(lon_deg) <= _MOST_LON_DEG and math.isfinite(sea_m)
+        if not is_place or lat_deg == lon_deg == 0.0:
+            raise ValueError(f"latitude, longitude = {lat_deg:g}, {lon_deg:g} deg, height {sea_m:g} m: is no place")
+        self.place = lat_deg, lon_deg, sea_m
 
     def forget(self) -> None:
         """There may be another one by now."""
@@ -64,11 +63,14 @@ class LocalOrigin:
         turn = Origin(lat, lon, ellipsoid).axes_e @ origin.axes_e.T
         return (north, east, sea0 - (ellipsoid - geoid_m)), so3.multiply(so3.from_matrix(turn), so3.normalise(e.nav[X.Q]))
 
-    def report(self, ours: tuple[float, float, float] | None, geoid_m: float, *, is_px4: bool = False) -> str:
-        """For the status: where it is from our origin; ours: degrees, and m above the ellipsoid."""
+    def report(self, ours: tuple[float, float, float] | None, geoid_m: float, *, from_ours: bool = False) -> str:
+        """For the status: where it is from our origin.
+
+        ours: degrees, and m above the ellipsoid; from_ours: whether odometry counts from there while it is not known.
+        """
         place = self.place
         if place is None:
-            return "not known: ODOMETRY " + ("is from ours" if is_px4 else "has quality -1")
+            return "not known: ODOMETRY " + ("is from ours" if from_ours else "has quality -1")
         if ours is None:
             return "known, but not ours: ODOMETRY has quality -1; set [map] origin"
         lat, lon, sea = place

@@ -5,9 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pymavlink.dialects.v20 import common as mavlink
 
-from estimator.service.mavlink.local_frame import LocalOrigin
+from estimator.service.autopilot.local_frame import LocalOrigin
 from models import so3
 from models.frames import Origin
 from models.messages import Estimate, Mode, Vec3
@@ -26,7 +25,7 @@ def _estimate(p_n: Vec3, origin: Vec3 | None = MAP.lla, q: Any = (1.0, 0.0, 0.0,
 
 def _heard(lat_deg: float, lon_deg: float, sea_m: float) -> LocalOrigin:
     origin = LocalOrigin()
-    origin.hear(mavlink.MAVLink_gps_global_origin_message(round(lat_deg * 1e7), round(lon_deg * 1e7), round(sea_m * 1e3)))
+    origin.hear(lat_deg, lon_deg, sea_m)
     return origin
 
 
@@ -107,10 +106,12 @@ def test_without_either_origin_there_is_no_pose() -> None:
     assert heard.pose(_estimate((0.0, 0.0, 0.0)), GEOID_M) is None
 
 
-@pytest.mark.parametrize("place", [(0, 0), (910_000_000, 10), (10, 1_800_000_001)])
-def test_what_is_no_place_is_refused(place: tuple[int, int]) -> None:
+@pytest.mark.parametrize(
+    "place", [(0.0, 0.0, 0.0), (91.0, 1.0, 0.0), (1.0, 180.1, 0.0), (math.nan, 1.0, 0.0), (1.0, 1.0, math.nan)]
+)
+def test_what_is_no_place_is_refused(place: Vec3) -> None:
     origin = _heard(*MAP.lla)
     before = origin.place
     with pytest.raises(ValueError, match="no place"):
-        origin.hear(mavlink.MAVLink_gps_global_origin_message(*place, 0))
+        origin.hear(*place)
     assert origin.place == before
