@@ -5,6 +5,7 @@ one is left; a prior attitude, a course or a measured heading begins with that. 
 well enough and the stretch so far, run again, confirms the filter.
 """
 
+import math
 from dataclasses import dataclass
 from dataclasses import replace as replace_in
 from typing import NamedTuple
@@ -29,7 +30,7 @@ from estimator.sources.source import Aid, Phase
 from models import imu, so3
 from models.measurements import Heading, Measurement, Pose, Position, Velocity
 from models.messages import Array, Reason
-from models.state import X
+from models.state import E, X
 
 NEVER = -(2**62)
 NO_POSITION = "waiting for a position"
@@ -146,14 +147,14 @@ class Alignment:
                 return Decision(Reason.ALIGNING, detail=_NO_START)
             else:
                 return self._find_heading(aid, z, at, samples, gyro_b)
-        elif aid.absolute and isinstance(z, Position | Pose) and self._seeks_heading and self._end_search(z, samples):
+        elif aid.absolute and isinstance(z, Position | Pose) and self._may_begin_again and self._end_search(z, samples):
             return Decision(Reason.ALIGNING)
         self._go_on(aid, z, samples, gyro_b)
         return Decision(Reason.ALIGNING)
 
     def _take_prior(self, aid: Aid, z: Measurement) -> Decision:
         """A prior waits for the position to begin with. Its errors repeat, so once begun it is no news."""
-        if self.hypotheses is not None and not self._seeks_heading:
+        if self.hypotheses is not None and not (self._seeks_heading or self._has_blurred):
             return Decision(Reason.THINNED, detail="for the alignment alone")
         if aid.t_ns < self.wrong_until_ns.get(aid.topic, NEVER):
             return Decision(Reason.STOPPED, detail=WRONG_SENSOR)
@@ -307,6 +308,19 @@ class Alignment:
     def _seeks_heading(self) -> bool:
         """Several headings are left, none decided."""
         return not self.is_aligned and self.hypotheses is not None and len(self.hypotheses.members) > 1
+
+    @property
+    def _has_blurred(self) -> bool:
+        """One filter is left, and before it was aligned its attitude has become too uncertain, as in a gap of the IMU at rest."""
+        if self.is_aligned or self.hypotheses is None or len(self.hypotheses.members) > 1:
+            return False
+        attitude = float(self.hypotheses.lead.cov.diagonal()[E.THETA].max())
+        return attitude > math.radians(self.config.initialise.heading_deg) ** 2
+
+    @property
+    def _may_begin_again(self) -> bool:
+        """Whether a prior may take the place of what there is: a course only that of a search."""
+        return self._seeks_heading or (self.prior is not None and bool(self.prior[2]) and self._has_blurred)
 
     def _end_search(self, z: Position | Pose, samples: ImuBuffer) -> bool:
         """Whether a prior that came during the search took its place."""

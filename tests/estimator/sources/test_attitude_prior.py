@@ -206,3 +206,17 @@ def test_it_is_no_absolute_source() -> None:
     aid = aid_of(_prior(_simulation(), 3), FusionConfig())
     assert isinstance(aid, Aid)
     assert (aid.kind, aid.absolute, aid.alignment_only, aid.slow_errors) == ("attitude", False, True, ())
+
+
+def test_a_prior_that_a_gap_of_the_imu_has_blurred_before_the_alignment_gives_way_to_the_next_one() -> None:
+    """Otherwise a vehicle at rest waits for its heading for ever: nothing but a prior shows it there."""
+    simulation = _simulation(2)
+    gap = range(EPOCH_NS + 12 * SECOND // 10, EPOCH_NS + 24 * SECOND // 10)
+    messages = [m for m in simulation.messages if not isinstance(m, ImuSample) or m.t_ns not in gap]
+    first, all_of_them = [_prior(simulation, 0)], [_prior(simulation, k) for k in range(8)]
+    with_one, with_all = (fly(simulation, messages=by_arrival([*messages, *priors])).aligned for priors in (first, all_of_them))
+    at_5s = EPOCH_NS + 5 * SECOND
+    assert not any(e.t_ns < at_5s for e in with_one)
+    begun = [e for e in with_all if e.t_ns < at_5s]
+    assert begun
+    assert math.degrees(math.sqrt(begun[0].covariance[E.THETA, E.THETA].diagonal().max())) < 10.0
