@@ -43,7 +43,7 @@ _SIGMA_S = 0.1  # of tau, to begin with, where it is a state
 _PROBE_S = 1e-4  # s0: less than the motion of any vehicle shows
 _WALK = np.array([2e-3**2])  # s^2 / s
 _G_N = np.array([0.0, 0.0, GRAVITY])
-_COUNTS_M2 = 1e-4
+_COUNTS_M2 = 1e-3  # less is not worth the time of an estimate
 _XYZ = 3
 
 

@@ -222,7 +222,7 @@ def test_what_is_left_of_the_configured_sigma_once_readings_have_shown_something
     vv = np.outer(v_n, v_n)
     np.testing.assert_allclose(_covariance(nothing, v_n), 0.02**2 * vv)
     assert nothing.covariance(0.0, v_n) is None
-    assert nothing.covariance(0.02, 0.01 * v_n) is None  # 4 mm
+    assert nothing.covariance(0.02, 0.01 * v_n) is None  # 4 mm: less than counts
     a, b = 1e4, 1e2  # 10 ms, of a sigma of 10 ms
     some = delay.Delay(EPOCH_NS, a, b)
     np.testing.assert_allclose(_covariance(some, v_n), (1.0 / 12500.0 + (100.0 / 12500.0) ** 2) * vv)
