@@ -259,8 +259,15 @@ def _sent(autopilot: _Px4, vehicle: zenoh.Session, where: tuple[float, float, fl
 
 
 def _assert_circle(messages: list[Any], origin_n: tuple[float, float, float]) -> None:
-    """Its positions and the origin add up to the circle that is flown; PX4's sphere is 0.3 % off at most."""
+    """Its positions and the origin add up to the circle that is flown; PX4's sphere is 0.3 % off at most.
+
+    Between two flights the IMU is silent, for seconds on a busy machine: the first position after it is off by as
+    much as its variance says.
+    """
     of_use = [m for m in messages if m.quality >= 0]
     assert len(of_use) > 2  # the first ones are from before its IMU came back
     p = np.array([m.position for m in of_use]) + origin_n
-    np.testing.assert_allclose(np.hypot(p[:, 0], p[:, 1]), RADIUS_M, atol=1.5 + 0.003 * np.hypot(*origin_n[:2]))
+    sigma = np.sqrt([max(m.position_variance[:2]) for m in of_use])
+    off = np.abs(np.hypot(p[:, 0], p[:, 1]) - RADIUS_M)
+    assert sigma[-1] < 0.5
+    assert (off <= 1.5 + 0.003 * np.hypot(*origin_n[:2]) + 2.0 * sigma).all(), (off, sigma)
