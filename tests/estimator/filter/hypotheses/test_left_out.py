@@ -273,7 +273,7 @@ def test_the_hypothesis_without_a_receiver_does_not_show_while_there_is_no_confl
 
 
 def test_the_slow_error_of_a_receiver_is_no_new_evidence_at_every_measurement() -> None:
-    """Both hypotheses agree with GNSS; the one that doubts the fixes knows only the sum of position and slow error, the other both."""
+    """Both hypotheses agree with GNSS; the one that doubts the fixes knows only the sum of position and slow error."""
     lead, sceptic = _member((0.0, 0.0, 0.0)), _member((0.0, 0.0, 0.0), -5.0, variance=4.0)
     sceptic.doubts["/pose_fix"] = Doubt(EPOCH_NS, deliberate=True)
     bank = Hypotheses([lead, sceptic])
