@@ -163,6 +163,8 @@ class Hypotheses:
         following = [k for k, m in enumerate(self.members) if m.without != aid.witness and aid.witness not in m.doubts]
         gained = {k: answer(k) for k, m in enumerate(self.members) if m.without != aid.witness}
         by_others = gained[0] if 0 in gained else max((gained[k] for k in following), default=None)
+        if 0 in gained and fused[0] and aid.geodetic and aid.slow_errors:
+            self._forgo_breadth(seen, gained, fused)
         for k, member in enumerate(self.members):
             if k in gained:
                 self._limit(k, aid, gained, fused)
@@ -189,6 +191,18 @@ class Hypotheses:
             left_out.add_at_fix(self.members, at_fix, aid)
         self._rank(aid.t_ns)
         return Verdict(seen[0], limit, passed[0], fused[0], foreseen=any(passed) or set_aside)
+
+    def _forgo_breadth(self, seen: list[Innovation], gained: dict[int, float], fused: list[bool]) -> None:
+        """Where both fuse GNSS, a hypothesis gains on the leading one at most max(0, (d_0^2 - d_k^2) / 2), by the distances.
+
+        -d^2 / 2 - ln|S| / 2 is the evidence of one fix. A considered slow error is in S of every fix and never estimated, so the
+        determinants would count it each time: at 5 Hz a filter with GNSS alone would win against one that has better fixes too.
+        """
+        for k, by_k in gained.items():
+            excess = by_k - gained[0] - max(0.0, 0.5 * (seen[0].distance2 - seen[k].distance2))
+            if k and fused[k] and excess > 0.0:
+                self.members[k].weight -= excess
+                gained[k] -= excess
 
     def _limit(self, k: int, aid: Aid, gained: dict[int, float], fused: list[bool]) -> None:
         """What a fix may add to a hypothesis k without a receiver; where the leading one refuses it, there is a conflict."""

@@ -23,12 +23,12 @@ ORIGIN = Origin(47.0, 8.0, 500.0)
 TOPIC = "/gnss"
 
 
-def _member(p_n: Vec3, weight: float = 0.0, *, fused_ago_s: float = 0.0) -> Hypothesis:
+def _member(p_n: Vec3, weight: float = 0.0, *, fused_ago_s: float = 0.0, variance: float = 0.01) -> Hypothesis:
     x = np.zeros(X.SIZE)
     x[X.P], x[X.Q] = p_n, (1.0, 0.0, 0.0, 0.0)
     noise = constants(ImuNoise(), Coast(), None)
     fused_ns = EPOCH_NS - round(fused_ago_s * SECOND)
-    return Hypothesis(Eskf(EPOCH_NS, x, 0.01 * np.eye(E.SIZE), noise), weight, fused_ns, EPOCH_NS - 60 * SECOND, EPOCH_NS)
+    return Hypothesis(Eskf(EPOCH_NS, x, variance * np.eye(E.SIZE), noise), weight, fused_ns, EPOCH_NS - 60 * SECOND, EPOCH_NS)
 
 
 def _without(p_n: Vec3, weight: float = 0.0, *, fused_ago_s: float = 0.0) -> Hypothesis:
@@ -270,3 +270,14 @@ def test_the_hypothesis_without_a_receiver_does_not_show_while_there_is_no_confl
     for a, b in zip(usual.estimates, never.estimates, strict=True):
         np.testing.assert_array_equal(a.nav, b.nav)
         np.testing.assert_allclose(np.diag(a.covariance), np.diag(b.covariance), rtol=0.05)
+
+
+def test_the_slow_error_of_a_receiver_is_no_new_evidence_at_every_measurement() -> None:
+    """Both hypotheses agree with GNSS; the one that doubts the fixes knows only the sum of position and slow error."""
+    lead, sceptic = _member((0.0, 0.0, 0.0)), _member((0.0, 0.0, 0.0), -5.0, variance=4.0)
+    sceptic.doubts["/pose_fix"] = Doubt(EPOCH_NS, deliberate=True)
+    bank = Hypotheses([lead, sceptic])
+    for _ in range(200):
+        assert bank.judge(*_gnss((0.2, 0.1, 0.0)), np.zeros(3), trusted=True).fused
+    assert bank.members[0] is lead
+    assert bank.switches == 0
