@@ -12,6 +12,7 @@ from estimator.sources.pose import PoseConfig, pose_aid
 from estimator.sources.source import Aid
 from models import so3
 from models.messages import AidStatus, Array, Estimate, Health, ImuSample, Input, Mode, PoseFix, Reason, Reset, Vec3, vec3
+from models.radius import reach
 from models.sim.scenario import EPOCH_NS, Simulation, Truth, simulate
 from models.sim.scenario_file import loads
 from models.state import E, X, local
@@ -117,6 +118,11 @@ def error(estimate: Estimate, truth: Truth) -> Array:
 def position_errors(estimates: Iterable[Estimate], truth: Truth) -> Array:
     """Distance of each estimate from the true position, m."""
     return np.array([np.linalg.norm(error(e, truth)[E.P]) for e in estimates])
+
+
+def radii(estimates: Iterable[Estimate]) -> Array:
+    """The 95 % radius in space of each estimate, m."""
+    return np.array([reach(e.covariance[E.P, E.P]) for e in estimates])
 
 
 def within(estimates: Iterable[Estimate], start_s: float, end_s: float, *, every: int = 20) -> list[Estimate]:

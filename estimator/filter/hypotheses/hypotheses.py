@@ -159,7 +159,6 @@ class Hypotheses:
             )
             return member.weight - before
 
-        first = bool(aid.receiver) and not passed[0] and aid.topic not in self.members[0].doubts
         following = [k for k, m in enumerate(self.members) if m.without != aid.witness and aid.witness not in m.doubts]
         gained = {k: answer(k) for k, m in enumerate(self.members) if m.without != aid.witness}
         by_others = gained[0] if 0 in gained else max((gained[k] for k in following), default=None)
@@ -173,13 +172,9 @@ class Hypotheses:
                     member.weight += min(0.0, gained[0] - gained[k])  # false to both: no evidence between them
             elif by_others is not None:
                 member.weight += by_others
-            elif (
-                passed[k] and not set_aside and not aid.receiver
-            ):  # no other one follows the receiver, which agrees: judged again
-                member.without = ""
+            elif passed[k] and not set_aside and not aid.receiver:
+                member.without = ""  # no other one follows the receiver, which agrees: it is judged again
                 answer(k)
-        if first and not fused[0]:
-            left_out.begin_at_step(self.members, aid)
         at_fix = left_out.moved(self.members[0], aid, z, gyro_b, seen[0]) if believer and self.members[0].receiver else None
         for member, was_fused in zip(self.members, fused, strict=True):
             doubt = member.doubts.get(aid.topic)

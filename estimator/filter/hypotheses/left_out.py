@@ -4,8 +4,8 @@ It takes no reading of the receiver. With each fix that the leading hypothesis p
 that it is never older than the last confirmation. Where no hypothesis takes a fix, one begins at the fix, for the receiver may
 have been misled from the start; it is dropped when the next fix does not follow, for fixes in a wrong unit are no evidence.
 
-Where the leading hypothesis refuses a velocity of the receiver, after one that it took, either the filter or the receiver has
-gone wrong in that moment. The one without it begins again there, and if the refusal lasts, both count alike in the covariance.
+Where the leading hypothesis refuses the velocities of the receiver for long, the filter or the receiver has gone wrong, and both
+count alike in the covariance until a fix decides.
 
 A receiver that was left has no say until its positions agree again: without a fix for 10 s the first one that passes the gate,
 else 10 s of them. Its velocities have none before its positions.
@@ -114,12 +114,4 @@ def begin_again(
             members.remove(member)
         elif right is not None:
             member.filter, member.fused_ns, member.begun_at_fix = right.filter.copy(), aid.t_ns, not fused[0]
-            member.doubts.pop(aid.topic, None)
-
-
-def begin_at_step(members: list[Hypothesis], aid: Aid) -> None:
-    """The first velocity of a receiver that the leading hypothesis refuses: the one without it begins again, as that one now."""
-    for member in members[1:]:
-        if member.without == aid.receiver and not members[0].rejected - {aid.topic}:
-            member.filter, member.begun_at_fix = members[0].filter.copy(), False
             member.doubts.pop(aid.topic, None)

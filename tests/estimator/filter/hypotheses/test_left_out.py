@@ -17,7 +17,7 @@ from models.measurements import Measurement
 from models.messages import GnssFix, GnssVelocity, Input, PoseFix, Reason, Vec3, vec3
 from models.sim.scenario import EPOCH_NS, Simulation
 from models.state import E, X
-from tests.estimator.scenes import SECOND, aid_of, config_of, fly, pose_fix, position_errors, simulated
+from tests.estimator.scenes import SECOND, aid_of, config_of, fly, pose_fix, position_errors, radii, simulated
 
 ORIGIN = Origin(47.0, 8.0, 500.0)
 TOPIC = "/gnss"
@@ -164,7 +164,7 @@ def test_a_gnss_that_is_wrong_from_boot_is_left_and_meanwhile_the_covariance_cov
     run = fly(flight, messages=[m for m in map(spoofed, flight.messages) if m is not None])
     late = [e for e in run.estimates if e.t_ns > EPOCH_NS + 40 * SECOND][::20]
     off = position_errors(late, flight.truth)
-    radius = np.array([2.8 * math.sqrt(np.linalg.eigvalsh(e.covariance[E.P, E.P])[-1]) for e in late])
+    radius = radii(late)
     assert off[-1] < 1.0
     assert (off > 3.0 * radius).mean() < 0.01
     assert radius[-1] < 2.0  # decided
@@ -185,7 +185,7 @@ def test_a_gnss_that_is_wrong_from_boot_and_has_led_for_a_minute_is_left_for_fix
     run = fly(flight, messages=messages)
     late = [e for e in run.estimates if e.t_ns > EPOCH_NS + 66 * SECOND][::20]
     off = position_errors(late, flight.truth)
-    radius = np.array([2.8 * math.sqrt(np.linalg.eigvalsh(e.covariance[E.P, E.P])[-1]) for e in late])
+    radius = radii(late)
     assert (off > 3.0 * radius).mean() < 0.01
     assert off[-1] < 1.0
     assert radius[-1] < 2.0
@@ -216,7 +216,7 @@ def test_a_gnss_that_is_pulled_off_is_left_by_fixes_each_four_seconds_and_fused_
     off = position_errors(decided, flight.truth)
     assert off.max() < 0.8
     found = [e for e in run.estimates if e.t_ns > EPOCH_NS + 10 * SECOND][::20]
-    radius = np.array([2.8 * math.sqrt(np.linalg.eigvalsh(e.covariance[E.P, E.P])[-1]) for e in found])
+    radius = radii(found)
     assert (position_errors(found, flight.truth) > 3.0 * radius).mean() < 0.05
     last = [s for s in run.statuses if s.topic == "/gnss" and s.kind == "gnss_position"][-10:]
     assert [s.reason for s in last] == [Reason.FUSED] * 10
@@ -229,7 +229,7 @@ def test_a_pull_that_begins_at_once_is_covered_until_the_next_fix(m_s: float) ->
     no_fix = range(PULL_NS - 5 * SECOND, PULL_NS + 14 * SECOND)
     run = fly(flight, messages=[m for m in _pulled(flight, m_s) if not isinstance(m, PoseFix) or m.t_ns not in no_fix])
     found = [e for e in run.estimates if PULL_NS < e.t_ns < PULL_NS + 14 * SECOND][::5]
-    radius = np.array([2.8 * math.sqrt(np.linalg.eigvalsh(e.covariance[E.P, E.P])[-1]) for e in found])
+    radius = radii(found)
     off = position_errors(found, flight.truth)
     assert (off > 3.0 * radius).mean() < 0.02
     assert "disagree" in run.health[-1].detail or any("disagree" in h.detail for h in run.health)
@@ -256,7 +256,7 @@ def test_fixes_in_a_wrong_unit_do_not_lead_beside_gnss(unit: float) -> None:
     run = fly(flight, messages=messages)
     found = [e for e in run.estimates if e.t_ns > EPOCH_NS + 30 * SECOND][::20]
     off = position_errors(found, flight.truth)
-    radius = np.array([2.8 * math.sqrt(np.linalg.eigvalsh(e.covariance[E.P, E.P])[-1]) for e in found])
+    radius = radii(found)
     assert np.sqrt((off**2).mean()) < 3.0
     assert (off > 3.0 * radius).mean() < 0.01
 

@@ -14,7 +14,7 @@ from models.measurements import Measurement, PartialPose, Pose, Position, Veloci
 from models.messages import Array, GnssFix, GnssVelocity, Input, PoseFix
 from models.sim.scenario import EPOCH_NS, Simulation
 from models.state import E, X
-from tests.estimator.scenes import SECOND, Run, fly, position_errors, simulated, within
+from tests.estimator.scenes import SECOND, Run, fly, position_errors, radii, simulated, within
 
 U = np.array([0.2, -0.1, 0.4, 1.0, -0.5, -9.0])  # rate, specific force
 LEVER = np.array([0.3, -0.2, 0.1])
@@ -264,7 +264,7 @@ def test_before_and_after_a_delay_is_found_the_radius_of_a_fast_vehicle_covers_i
     found, sigma = _found_ms(run, "/pose_fix")
     assert abs(found - 80.0) < max(3.0 * sigma, 15.0)
     estimates = within(run.estimates, 2.0, 60.0)
-    radius = np.array([math.sqrt(7.815 * np.linalg.eigvalsh(e.covariance[E.P, E.P])[-1]) for e in estimates])
+    radius = radii(estimates)
     off = position_errors(estimates, flight.truth)
     assert off.max() > 1.0  # 80 ms at 22 m/s are 1.8 m
     assert (off < 3.0 * radius).all()
@@ -274,3 +274,31 @@ def test_before_and_after_a_delay_is_found_the_radius_of_a_fast_vehicle_covers_i
 def test_a_receiver_that_is_farther_off_than_any_delay_explains_shows_none(off_m: float, is_explained: bool) -> None:
     x = _state(0.0)  # 5.9 m/s: 3 m in half a second, and 3 sigma of noise
     assert delay.explains(np.array([0.0, off_m, 0.0]), np.eye(3), x) == is_explained
+
+
+def test_a_delay_that_fixes_may_have_stays_in_the_covariance_beside_gnss_and_goes_with_the_fixes() -> None:
+    flight = simulated(STRAIGHT + "[gnss]\nrate_hz = 5.0\n", seed=2)
+    end_ns = EPOCH_NS + 4 * SECOND
+    run = fly(flight, messages=[m for m in flight.messages if not isinstance(m, PoseFix) or m.t_ns < end_ns])
+    history = run.fusion._history
+    assert history.tracker.late_cov is None  # GNSS alone since a minute, whose slow error covers its delay
+    run = fly(flight, messages=[m for m in flight.messages if m.arrived_ns < end_ns])
+    late_cov = run.fusion._history.tracker.late_cov
+    assert late_cov is not None
+    speed = 22.0
+    assert 0.001 < late_cov.trace() <= (0.03 * speed) ** 2
+
+
+def test_a_receiver_that_is_pulled_off_is_not_late() -> None:
+    """From 20 s on by 5 m/s: its readings are beyond what a delay explains, but a part of them points along the motion."""
+    flight, pull_ns = simulated(FLIGHT, seed=2), EPOCH_NS + 20 * SECOND
+
+    def pulled(m: Input) -> Input:
+        s = (m.t_ns - pull_ns) * 1e-9
+        if isinstance(m, GnssFix) and s > 0.0:
+            return replace(m, lat_deg=m.lat_deg + 5.0 * s / 111_320.0)
+        return replace(m, v_n=(m.v_n[0] + 5.0, *m.v_n[1:])) if isinstance(m, GnssVelocity) and s > 0.0 else m
+
+    messages = [pulled(m) for m in flight.messages if not isinstance(m, PoseFix) or m.t_ns < pull_ns]
+    run = fly(flight, messages=messages)
+    assert not any("stamps of /gnss" in h.detail for h in run.health)
