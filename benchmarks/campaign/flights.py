@@ -93,7 +93,7 @@ class Flight(msgspec.Struct, frozen=True, kw_only=True):
             still_gyro=_NEVER_STILL,
         )
         slow_s = self.scenario.gnss.slow_tau_s if self.scenario.gnss else 60.0
-        gnss = GnssConfig(slow_sigma_m=self.configured_slow_m, slow_s=slow_s)
+        gnss = GnssConfig(slow_sigma_m=self.configured_slow_m, slow_s=slow_s, velocity_slow_sigma_m_s=0.0)
         pose_fix = PoseConfig(tilt_deg=0.0, mount_deg=0.0, false_share=_NONE_FALSE)  # simulated fixes: level, true
         return FusionConfig(imu=ImuNoise(**scaled), gnss=gnss, pose_fix=pose_fix, initialise=prior, origin=self.scenario.origin)
 

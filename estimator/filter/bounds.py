@@ -60,19 +60,20 @@ class BoundsConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """
         limits = _LIMITS[self.vehicle]
         fastest = limits.speed_m_s if self.speed_m_s is None else self.speed_m_s
-        speed = math.hypot(*x[X.V].tolist())
+        state, variances = x.tolist(), cov.diagonal().tolist()
+        speed = math.hypot(*state[X.V])
         if not speed <= fastest:
             return f"speed of {speed:.0f} m/s exceeds [bounds] speed_m_s = {fastest:g}"
         lowest = limits.lowest_m if self.lowest_m is None else self.lowest_m
         highest = limits.highest_m if self.highest_m is None else self.highest_m
-        height = origin_m - float(x[X.P][2])
+        height = origin_m - state[X.P][2]
         if not lowest <= height <= highest:
             return f"height of {height:.0f} m is outside [bounds] lowest_m = {lowest:g} to highest_m = {highest:g}"
-        variance = max(cov.diagonal()[E.P].tolist())
+        variance = max(variances[E.P])
         if not variance <= self.sigma_m**2:
             return f"position sigma of {math.sqrt(variance):.3g} m exceeds [bounds] sigma_m = {self.sigma_m:g}"
-        theta = cov[E.THETA, E.THETA]
-        if not max(theta.diagonal().tolist()) <= _TILT_SIGMA**2:  # seldom; heading may be unknown, tilt is not
+        if not max(variances[E.THETA]) <= _TILT_SIGMA**2:  # seldom; heading may be unknown, tilt is not
+            theta = cov[E.THETA, E.THETA]
             down_b = so3.matrix(x[X.Q])[2]
             tilt = 0.5 * float(np.trace(theta) - down_b @ theta @ down_b)
             if not tilt <= _TILT_SIGMA**2:

@@ -10,6 +10,7 @@ flown:
 Fixes that are too far apart in time show nothing. A contradiction that lasts for some seconds ends the filter.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -69,8 +70,9 @@ NO_CONTRADICTION = Contradiction()
 
 def direction(nu: Array, s: Array) -> tuple[float, ...]:
     """An innovation nu (m,) of covariance s (m, m) in units of its sigma, of length 1, (m,)."""
-    scaled = nu / np.sqrt(s.diagonal())
-    return tuple((scaled / max(float(np.linalg.norm(scaled)), _TINY)).tolist())
+    scaled = [a / math.sqrt(variance) for a, variance in zip(nu.tolist(), s.diagonal().tolist(), strict=True)]
+    length = max(math.hypot(*scaled), _TINY)
+    return tuple(a / length for a in scaled)
 
 
 def persists(before: tuple[float, ...], now: tuple[float, ...]) -> bool:

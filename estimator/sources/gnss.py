@@ -1,7 +1,9 @@
 """GNSS: position on the ellipsoid and velocity over ground, of an antenna next to the IMU.
 
-The receiver's covariance is taken as white noise; on top of it the position carries a slow error (atmosphere, multipath) that
-repeats from fix to fix and is considered, not averaged away.
+The receiver's covariance is taken as white noise; on top of it position and velocity each carry a slow error (atmosphere,
+multipath, the receiver's own filter) that repeats from fix to fix and is considered, not averaged away. For the velocity it
+decides how fast the position may go wrong between two fixes of another source: white noise of 0.1 m/s at 5 Hz alone would
+let GNSS velocity carry a position for 10 s within 0.14 m, and real receivers are off by 0.1 to 1.5 m then.
 """
 
 import math
@@ -79,6 +81,10 @@ class GnssConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
         1.5
     )
     slow_s: Annotated[float, Meta(ge=1e-3, le=1e6, description="s: correlation time of the slow part")] = 60.0
+    velocity_slow_sigma_m_s: Annotated[
+        float, Meta(ge=0, le=1000, description="m/s: slow part of the velocity error, horizontal; 0: none")
+    ] = 0.05
+    velocity_slow_s: Annotated[float, Meta(ge=1e-3, le=1e6, description="s: correlation time of that")] = 10.0
 
 
 def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
@@ -103,7 +109,6 @@ def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
         return None if origin is None else Position(np.array(origin.to_ned(*place)), noise, _AXES, lever)
 
     t_ns = fix.t_ns - round(config.delay_s * 1e9)
-    slow = config.slow_sigma_m**2
     return Aid(
         t_ns=t_ns,
         arrived_ns=fix.arrived_ns,
@@ -115,7 +120,7 @@ def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
         log_false=log_false(config, [FALSE_POSITION_M] * 3),
         measurement=measurement,
         log_misled=math.log(1.0 - config.trust) if config.trust < 1.0 else None,
-        slow_errors=(SlowError("gnss", np.diag([slow, slow, 4.0 * slow]), config.slow_s),) if slow else (),
+        slow_errors=_slow("gnss", config.slow_sigma_m, config.slow_s),
         geodetic=place,
         assumed=_NO_ACCURACY.format(f"horizontal_sigma_m {sigmas[0]:g}, vertical_sigma_m {sigmas[2]:g}") if is_assumed else "",
     )
@@ -145,6 +150,12 @@ def velocity_aid(velocity: GnssVelocity, config: GnssConfig) -> Aid | Refusal:
         log_false=log_false(config, [FALSE_VELOCITY_M_S] * 3),
         measurement=lambda _: z,
         uses_rate=True,
+        slow_errors=_slow("gnss_velocity", config.velocity_slow_sigma_m_s, config.velocity_slow_s),
         receiver=velocity.topic.rpartition("/")[0] or None,  # /gnss/velocity comes from /gnss
         assumed=_NO_ACCURACY.format(f"velocity_sigma_m_s {config.velocity_sigma_m_s:g}") if is_assumed else "",
     )
+
+
+def _slow(block: str, sigma: float, tau_s: float) -> tuple[SlowError, ...]:
+    """Horizontally sigma, vertically twice that (satellites are above only); none where it is 0."""
+    return (SlowError(block, np.diag([sigma**2, sigma**2, 4.0 * sigma**2]), tau_s),) if sigma else ()

@@ -45,7 +45,7 @@ def flown(name: str) -> tuple[list[Run], list[list[float]]]:
             imu=GRADE.noise,
             origin=simulation.origin.lla if simulation.origin else None,
             initialise=PRIOR,
-            gnss=GnssConfig(slow_sigma_m=0.0),
+            gnss=GnssConfig(slow_sigma_m=0.0, velocity_slow_sigma_m_s=0.0),
             pose_fix=PoseConfig(tilt_deg=0.0, mount_deg=0.0),
         )
         run = fly(simulation, config)

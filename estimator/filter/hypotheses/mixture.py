@@ -8,7 +8,6 @@ f: the variance of unit weight. (Bar-Shalom, Li, Kirubarajan 2001, Estimation wi
 
 import math
 
-import numpy as np
 from numba import njit
 
 from estimator.filter.hypotheses.hypothesis import Hypothesis
@@ -23,13 +22,14 @@ _HALF_TURN = 3.14  # rad
 def covariance(members: list[Hypothesis]) -> Array:
     """Of the leading state's error, (15, 15), over all that show; the first leads."""
     lead = members[0].filter
-    if len(members) == 1:  # most of the time
+    others = [m for m in members[1:] if m.shows_beside(members[0])]
+    if not others:  # most of the time
         cov, factor = lead.cov[_OF_STATE], lead.variance_factor
         return cov.copy() if factor == 1.0 else _scaled(cov, factor)
-    shown = [members[0], *(m for m in members[1:] if m.shows_beside(members[0]))]
-    weights = [math.exp(m.weight + m.benefit) for m in shown]
-    total, whole, root = np.zeros((_N, _N)), sum(weights), math.sqrt(lead.variance_factor)
-    for weight, member in zip(weights, shown, strict=True):
+    first, *weights = (math.exp(m.weight + m.benefit) for m in (members[0], *others))
+    whole, root = first + sum(weights), math.sqrt(lead.variance_factor)
+    total = first / whole * lead.cov[_OF_STATE]
+    for weight, member in zip(weights, others, strict=True):
         _mix(total, weight / whole, member.filter.cov, local(lead.x, member.filter.x) / root)
     return _scaled(total, lead.variance_factor)
 

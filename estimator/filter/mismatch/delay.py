@@ -28,7 +28,7 @@ from msgspec.structs import replace
 from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.hypotheses import Hypothesis
 from estimator.sources.source import Aid, SlowError
-from models import so3
+from models import cholesky, so3
 from models.frames import GRAVITY
 from models.measurements import Measurement, PartialPose, Pose, Position, Velocity
 from models.messages import Array
@@ -66,9 +66,12 @@ class Delay(NamedTuple):
             return None
         information, score = max((self.information, self.score), self.before)
         information += sigma_s**-2
+        variance = 1.0 / information + (score / information) ** 2
+        if variance * math.hypot(*v_n.tolist()) ** 2 <= _COUNTS_M2:
+            return None
         cov = np.zeros((E.SIZE, E.SIZE))
-        cov[E.P, E.P] = (1.0 / information + (score / information) ** 2) * np.outer(v_n, v_n)
-        return cov if cov.trace() > _COUNTS_M2 else None
+        cov[E.P, E.P] = variance * np.outer(v_n, v_n)
+        return cov
 
     def also(self, t_ns: int, seen: Innovation, column: int, gate: float = math.inf) -> "Delay":
         """With one more innovation; column: where tau stands in P.
@@ -80,7 +83,10 @@ class Delay(NamedTuple):
         is_new = not 0.0 <= (t_ns - self.since_ns) * 1e-9 < _ANEW_S
         sums = Delay(t_ns, before=(self.information, self.score)) if is_new else self
         j = seen.hp[:, column] / _PROBE_S**2
-        weighed = np.linalg.solve(seen.s, j)
+        low, weighed = seen.s.copy(), j.copy()
+        if not cholesky.factor(low, low):
+            return sums
+        cholesky.substitute(low, weighed)  # S^-1 j
         information, score = float(weighed @ j), float(weighed @ seen.nu)
         if seen.distance2 > gate and not (
             score**2 > max(_SIGMAS**2, seen.distance2 - gate) * information and abs(score) < _LONGEST_S * information

@@ -89,6 +89,15 @@ def test_the_slow_error_is_considered_unless_there_is_none() -> None:
     assert _aid(position_aid(_fix(), GnssConfig(slow_sigma_m=0.0))).slow_errors == ()
 
 
+def test_the_velocity_has_a_slow_error_of_its_own() -> None:
+    (slow,) = _aid(velocity_aid(_velocity(), GnssConfig(velocity_slow_sigma_m_s=0.1, velocity_slow_s=20.0))).slow_errors
+    np.testing.assert_allclose(slow.covariance, np.diag([0.01, 0.01, 0.04]))
+    assert slow.tau_s == 20.0
+    (position,) = _aid(position_aid(_fix(), GnssConfig())).slow_errors
+    assert position.block != slow.block
+    assert _aid(velocity_aid(_velocity(), GnssConfig(velocity_slow_sigma_m_s=0.0))).slow_errors == ()
+
+
 def test_velocities_may_be_older_than_positions_of_the_same_stamp() -> None:
     fix, velocity, config = _fix(), _velocity(), GnssConfig(delay_s=-0.075, velocity_delay_s=0.125)
     assert _aid(position_aid(fix, config)).t_ns == fix.t_ns + 75_000_000

@@ -161,7 +161,7 @@ def test_a_gnss_that_is_wrong_from_boot_is_left_and_meanwhile_the_covariance_cov
         return replace(m, lat_deg=m.lat_deg + 200.0 / 111_320.0) if isinstance(m, GnssFix) else m
 
     run = fly(flight, messages=[m for m in map(spoofed, flight.messages) if m is not None])
-    late = [e for e in run.estimates if e.t_ns > EPOCH_NS + 40 * SECOND][::20]
+    late = [e for e in run.estimates if e.t_ns > EPOCH_NS + 28 * SECOND][::20]
     off = position_errors(late, flight.truth)
     radius = radii(late)
     assert off[-1] < 1.0
@@ -169,7 +169,7 @@ def test_a_gnss_that_is_wrong_from_boot_is_left_and_meanwhile_the_covariance_cov
     assert radius[-1] < 2.0  # decided
     wide = radius > 50.0
     assert np.count_nonzero(wide[1:] != wide[:-1]) == 1  # and not in question again
-    said = [h.detail for h in run.health if h.t_ns > EPOCH_NS + 40 * SECOND]
+    said = [h.detail for h in run.health if h.t_ns > EPOCH_NS + 28 * SECOND]
     assert any(re.match(r"/pose_fix and /gnss disagree by 199\.\d m for \d+ s: ", text) for text in said)
 
 
@@ -213,7 +213,7 @@ def test_a_gnss_that_is_pulled_off_is_left_by_fixes_each_four_seconds_and_fused_
     run = fly(flight, messages=_pulled(flight, m_s))
     decided = [e for e in run.estimates if e.t_ns > PULL_NS + 20 * SECOND][::20]
     off = position_errors(decided, flight.truth)
-    assert off.max() < 0.8
+    assert off.max() < 1.0
     found = [e for e in run.estimates if e.t_ns > EPOCH_NS + 10 * SECOND][::20]
     radius = radii(found)
     assert (position_errors(found, flight.truth) > 3.0 * radius).mean() < 0.05
