@@ -122,7 +122,7 @@ def score(estimates: list[Estimate], flight: Flight, from_s: float) -> Score:
     error = _interpolated(flight, row, t_s) - nav[:, X.P]
     size, turned = np.linalg.norm(error, axis=1), _angle_deg(nav[:, X.Q], flight.R_nb[row])
     outside = ~np.any([(t_s > a) & (t_s < b + SETTLE_S) for a, b in flight.outages_s] or [t_s < 0.0], axis=0)
-    radius = np.sqrt(INSIDE95 * np.clip(np.linalg.eigvalsh(P)[:, -1], 0.0, None))  # models.radius.reach of each
+    radius = _reach(P)
     return Score(
         complete=complete,
         rmse_m=_rms(size[outside]),
@@ -131,6 +131,24 @@ def score(estimates: list[Estimate], flight: Flight, from_s: float) -> Score:
         overconfident=float(np.mean(size > OVERCONFIDENT * radius)),
         inside95=float(np.mean(nees(error, P) < INSIDE95)),
     )
+
+
+def errors(estimates: list[Estimate], flight: Flight, from_s: float) -> tuple[Array, Array, Array]:
+    """Seconds, position error [m] and 95 % radius [m] of each estimate from from_s on that has a truth near."""
+    scored_ns = flight.start_ns + round(from_s * 1e9)
+    estimates = [e for e in _first_of_each_stamp(estimates) if e.t_ns >= scored_ns]
+    t_ns = np.array([e.t_ns for e in estimates], np.int64)
+    row, near = nearest(flight.t_ns, t_ns, _TRUTH_NS)
+    chosen, t_s = [e for e, is_near in zip(estimates, near, strict=True) if is_near], (t_ns[near] - flight.start_ns) * 1e-9
+    if not chosen:
+        return t_s, np.empty(0), np.empty(0)
+    off = _interpolated(flight, row[near], t_s) - np.array([e.nav[X.P] for e in chosen])
+    return t_s, np.linalg.norm(off, axis=1), _reach(np.array([e.covariance[E.P, E.P] for e in chosen]))
+
+
+def _reach(P: Array) -> Array:
+    """models.radius.reach of each of P (n, 3, 3)."""
+    return np.asarray(np.sqrt(INSIDE95 * np.clip(np.linalg.eigvalsh(P)[:, -1], 0.0, None)))
 
 
 def _first_of_each_stamp(estimates: list[Estimate]) -> list[Estimate]:

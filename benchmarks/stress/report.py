@@ -53,7 +53,7 @@ def failures_table(rows: Sequence[Row]) -> Table:
     columns = ("perturbation", "size", "flight", "seed", "landfix m", "naive m", "missed", "measurements")
     failed = sorted((r for r in rows if failures(r)), key=lambda r: -_worst(r.landfix))
     lines = [
-        (r.kind, _size(r.kind, r.size), r.flight, str(r.seed), number(r.landfix.rmse_m), number(r.naive.rmse_m),
+        (r.kind, size_text(r.kind, r.size), r.flight, str(r.seed), number(r.landfix.rmse_m), number(r.naive.rmse_m),
          ", ".join(failures(r)), ", ".join(f"{n} {reason}" for reason, n in sorted(r.reasons.items())))
         for r in failed
     ]  # fmt: skip
@@ -70,7 +70,7 @@ def _line(kind: str, size: float, rows: list[Row]) -> tuple[str, ...]:
     largest = max((r.landfix.rmse_m for r in rows if r.landfix.rmse_m is not None), default=None)
     inside = median([r.landfix.inside95 for r in rows])
     return (
-        kind, _size(kind, size), str(len(rows)), number(ours), number(largest), number(naive),
+        kind, size_text(kind, size), str(len(rows)), number(ours), number(largest), number(naive),
         number(ours / naive if ours is not None and naive and _compares(kind) else None),
         f"{sum(r.landfix.complete for r in rows)}/{len(rows)}",
         number(100.0 * max(r.landfix.overconfident for r in rows)),
@@ -88,7 +88,7 @@ def median(values: Sequence[float | None]) -> float | None:
     return float(np.median(there)) if there else None
 
 
-def _size(kind: str, size: float) -> str:
+def size_text(kind: str, size: float) -> str:
     return f"{size:g} {KINDS[kind].unit}".strip()
 
 
@@ -107,7 +107,7 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     ax.plot(x[~sure], y[~sure], "o", color="tab:blue", label="landfix")
     ax.plot(x[sure], y[sure], "o", color="tab:red", label="landfix, overconfident")
     ax.plot(np.where(np.isnan(x), 1e4, x)[~whole], y[~whole], "kx", markersize=9, label="landfix, not complete")
-    ax.set_yticks(y, [f"{kind}: {_size(kind, size)}" for kind, size in found], fontsize=7)
+    ax.set_yticks(y, [f"{kind}: {size_text(kind, size)}" for kind, size in found], fontsize=7)
     ax.set(xscale="log", xlabel="position RMSE outside outages [m], median of runs", ylim=(len(found) - 0.5, -0.5))
     ax.grid(visible=True, axis="x", alpha=0.3)
     ax.legend(loc="upper right", fontsize=7)

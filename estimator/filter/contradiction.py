@@ -51,6 +51,10 @@ class Contradiction(NamedTuple):
         """Whether it has lasted long enough."""
         return self.unforeseen >= _SHOWN_FIXES and (self.last[-1][0] - self.since_ns) * 1e-9 >= _SHOWN_S
 
+    def is_late(self, t_ns: int) -> bool:
+        """Whether a fix of t_ns is too far from the last unforeseen one to show anything together with it."""
+        return bool(self.last) and (t_ns - self.last[-1][0]) * 1e-9 > _APART_S
+
     def _leads_to(self, t_ns: int, z: Pose | Position) -> bool:
         """Whether a vehicle can fly from the last two positions to this one."""
         (t1_ns, p1), h2 = self.last[-1], (t_ns - self.last[-1][0]) * 1e-9

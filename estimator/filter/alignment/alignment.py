@@ -99,6 +99,7 @@ class Alignment:
         self.given_up = 0  # how often a filter was
         self.failed: dict[str, int] = {}  # gates in a row, of sources of positions and their velocities; never changed in place
         self.variance_factor = NO_EXCESS
+        self.begun_by = ""  # the source at whose position the newest filter begins
         self.direction: tuple[float, ...] = ()  # of the newest innovation of an absolute source during the alignment
         self.conflicts = Conflicts()
         self.absolute: frozenset[str] = frozenset()  # topics that have given positions
@@ -138,6 +139,7 @@ class Alignment:
                 at = initialise.level(self.t_ns, stretch, config, may_rest=not (aid.absolute and self._has_moved(z)))
             if whole and isinstance(z, Pose):
                 if self.hypotheses is None or len(self.hypotheses.members) > 1:
+                    self.begun_by = aid.topic
                     self.hypotheses = initialise.start_from_pose(self.t_ns, z, self.constants, config)
                     self.stretch = Stretch.of(self.hypotheses.lead)
                     return Decision(Reason.ALIGNING)
@@ -146,8 +148,10 @@ class Alignment:
             elif at is None:
                 return Decision(Reason.ALIGNING, detail=_NO_START)
             else:
+                self.begun_by = aid.topic
                 return self._find_heading(aid, z, at, samples, gyro_b)
         elif aid.absolute and isinstance(z, Position | Pose) and self._may_begin_again and self._end_search(z, samples):
+            self.begun_by = aid.topic
             return Decision(Reason.ALIGNING)
         self._go_on(aid, z, samples, gyro_b)
         return Decision(Reason.ALIGNING)
@@ -214,7 +218,7 @@ class Alignment:
         if self.hypotheses is None:
             return
         before_it = self.stretch
-        if self.stretch is not None:
+        if self.stretch is not None and not self._contradicts_start(aid):
             self.stretch = self.stretch.also(aid, z, gyro_b, follows=follows)
         known = self._is_proven() and self._is_known()
         if known:
@@ -245,10 +249,21 @@ class Alignment:
         """A position was foreseen by some filter or by none; the alignment begins again where the IMU turns out to be wrong."""
         if not aid.absolute:
             return
+        if not self.is_aligned and not foreseen:
+            own_too = aid.topic == self.begun_by and self.conflicts.apart
+            if own_too and self.contradiction.is_late(aid.t_ns):  # the filter began at a false position
+                self._begin_again()
+                return
+            if self.contradiction.unforeseen and self._contradicts_start(aid):
+                return  # the source that it began with has the next word, and nothing is said of the IMU
         self.contradiction = NO_CONTRADICTION if foreseen else self.contradiction.also(aid.t_ns, z)
         if self.contradiction.is_shown:
             self._begin_again()
             self.given_up += 1
+
+    def _contradicts_start(self, aid: Aid) -> bool:
+        """A source disagrees for long with the other one, at whose position the filter began."""
+        return aid.topic != self.begun_by and aid.topic in self.conflicts.apart
 
     def _begin_again(self) -> None:
         """What there is rests on readings that are wrong."""

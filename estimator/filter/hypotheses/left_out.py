@@ -46,6 +46,7 @@ def add_at_fix(members: list[Hypothesis], at_fix: Hypothesis, aid: Aid) -> None:
     if (aid.t_ns - members[0].refuted_ns) * 1e-9 > LEFT_OUT_S:
         members.append(_without(at_fix, *receiver, aid.t_ns))
         members[-1].weight += members[0].weight
+        members[-1].benefit = members[0].weight - members[-1].weight  # until the next fix both count alike
 
 
 def moved(lead: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, seen: Innovation) -> Hypothesis:
@@ -114,4 +115,6 @@ def begin_again(
             members.remove(member)
         elif right is not None:
             member.filter, member.fused_ns, member.begun_at_fix = right.filter.copy(), aid.t_ns, not fused[0]
+            if member.begun_at_fix:
+                member.benefit = members[0].weight - member.weight  # until the next fix both count alike
             member.doubts.pop(aid.topic, None)
