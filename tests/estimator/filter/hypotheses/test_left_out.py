@@ -139,6 +139,23 @@ def test_one_fix_raises_the_hypothesis_without_the_receiver_by_its_share_of_fals
     assert 5.0 < reach < 10.0, "both count alike"
 
 
+@pytest.mark.parametrize("goes_without", [True, False])
+def test_a_fix_that_nothing_predicted_shows_in_the_covariance_until_the_next_one(goes_without: bool) -> None:
+    """It is false, or the receiver has been misled from the start: one is as likely as the other."""
+    lead = _member((0.0, 0.0, 0.0))
+    lead.receiver = TOPIC, -4.6
+    bank = Hypotheses([lead, *([_without((0.0, 0.0, 0.0), -4.6)] if goes_without else [])])
+    for p_n, least_m, most_m in (((50.0, 0.0, 0.0), 50.0, 150.0), ((0.0, 0.0, 0.0), 0.0, 1.0)):
+        aid = aid_of(pose_fix(EPOCH_NS, p_n))
+        z = aid.measurement(None)
+        assert z is not None
+        assert not isinstance(z, tuple)
+        bank.judge(aid, z, np.zeros(3), trusted=True)
+        for at in range(2):  # readings of the receiver change nothing about it
+            bank.judge(*_gnss((0.01 * at, 0.0, 0.0)), np.zeros(3), trusted=True)
+        assert least_m < 2.8 * math.sqrt(np.linalg.eigvalsh(bank.covariance()[E.P, E.P])[-1]) < most_m
+
+
 BOOT = """
 duration_s = 120.0
 [imu]

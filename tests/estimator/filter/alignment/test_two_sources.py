@@ -1,0 +1,56 @@
+"""Alignment where GNSS and the first rare fix disagree: it ends, whichever of the two is false, and the covariance covers both."""
+
+import pytest
+from msgspec.structs import replace
+
+from models.messages import GnssFix, Input, Mode, PoseFix
+from models.sim.scenario import EPOCH_NS
+from tests.estimator.scenes import SECOND, fly, position_errors, radii, simulated
+
+SLOW = """
+duration_s = 60.0
+[vehicle]
+kind = "multirotor"
+speed_m_s = 0.5
+climb_m_s = 0.3
+area_m = 10.0
+height_m = 5.0
+[imu]
+rate_hz = 100.0
+[gnss]
+rate_hz = 5.0
+[pose_fix]
+rate_hz = 0.2
+sigma_m = [0.15, 0.15, 0.15]
+sigma_deg = [1.0, 1.0, 1.0]
+"""
+FIRST_FIX_NS = EPOCH_NS + 19 * SECOND
+OFF_M = 200.0
+
+
+@pytest.mark.parametrize("false", ["GNSS", "the first fix"])
+def test_the_alignment_ends_and_the_covariance_covers_what_is_false(false: str) -> None:
+    # GIVEN a vehicle too slow to show its heading, GNSS, and fixes each 5 s from 19 s on, one of the two 200 m off
+    flight, messages, first = simulated(SLOW, seed=3), list[Input](), True
+    for m in flight.messages:
+        if isinstance(m, PoseFix):
+            if m.t_ns < FIRST_FIX_NS:
+                continue
+            is_false = first and false == "the first fix"
+            messages.append(replace(m, p_n=(m.p_n[0] + OFF_M, *m.p_n[1:])) if is_false else m)
+            first = False
+        elif isinstance(m, GnssFix) and false == "GNSS":
+            messages.append(replace(m, lat_deg=m.lat_deg + OFF_M / 111_320.0))
+        else:
+            messages.append(m)
+    run = fly(flight, messages=messages)
+    # WHEN two fixes have come
+    late = [e for e in run.estimates if e.t_ns > FIRST_FIX_NS + 6 * SECOND]
+    off, radius = position_errors(late[::20], flight.truth), radii(late[::20])
+    # THEN there is an estimate most of the time, no error beyond three radii, and at the end it is aligned, right and certain
+    span_s = 60.0 - (FIRST_FIX_NS - EPOCH_NS) / SECOND - 6.0
+    assert len(late) > 0.8 * 100.0 * span_s
+    assert (off < 3.0 * radius).all()
+    assert late[-1].mode is not Mode.ALIGNING_HEADING
+    assert off[-1] < 1.0
+    assert radius[-1] < 2.0
