@@ -244,7 +244,7 @@ def parse(text: str, name: str = "configuration") -> Config:
 
 
 def _not_of_the_vehicle(config: Config) -> str:
-    """What is switched on although it does not hold for [bounds] vehicle, whose estimate it would mislead; '' where nothing is."""
+    """What is switched on although it does not hold for [bounds] vehicle, and would mislead; '' where nothing is."""
     vehicle = config.bounds.vehicle
     if config.drag.enabled and vehicle not in {"any", "multirotor"}:
         return f'[drag] enabled: rotors have this drag, and [bounds] vehicle is "{vehicle}"; set enabled = false'

@@ -315,7 +315,10 @@ def test_airspeed_is_indicated_and_range_is_that_of_the_sensor_that_looks_down(t
         ground.hear(k * 50_000, mavlink2.MAVLink_scaled_pressure_message(boot_ms, 950.0, pressure_hpa, 2000))
         ground.hear(k * 50_000, mavlink2.MAVLink_distance_sensor_message(boot_ms, 20, 4000, distance_cm, 0, 0, down, 0))
     recording = tlog.read(ground.write(tmp_path))
-    values = {kind: [m.values[0] for m in recording if isinstance(m, Reading) and m.kind == kind] for kind in ("airspeed", "range")}
+    values: dict[str, list[float]] = {"airspeed": [], "range": []}
+    for m in recording:
+        if isinstance(m, Reading) and m.kind in values:
+            values[m.kind].append(m.values[0])
     np.testing.assert_allclose(values["airspeed"], [20.0, 20.0], rtol=1e-6)  # 245 Pa = 1.225 / 2 * 20^2
     np.testing.assert_allclose(values["range"], [4.5, np.inf])
     assert "indicated = true" in recording.settings.toml("tlog", tmp_path, ("/imu", "/airspeed"))
