@@ -323,8 +323,7 @@ def _baro(tables: Mapping[str, _Table]) -> list[Stream]:
 def _airspeed(tables: Mapping[str, _Table]) -> list[Stream]:
     """Indicated airspeed of the dynamic pressure, hPa; 0: there is no pitot tube."""
     table = tables.get("SCALED_PRESSURE")
-    rows = np.flatnonzero(table["press_diff"]) if table is not None else []
-    if table is None or not len(rows):
+    if table is None or not len(rows := np.flatnonzero(table["press_diff"])):
         return []
     speed = sensors.indicated_airspeed(100.0 * table["press_diff"][rows])
     return [recording.sensor("airspeed", table.t_ns[rows], table.arrived_ns[rows], speed[:, np.newaxis])]
@@ -333,8 +332,7 @@ def _airspeed(tables: Mapping[str, _Table]) -> list[Stream]:
 def _range(tables: Mapping[str, _Table]) -> list[Stream]:
     """Of a range finder that looks down, cm; outside its limits there is no echo."""
     table = tables.get("DISTANCE_SENSOR")
-    rows = np.flatnonzero(table["orientation"] == mavlink.MAV_SENSOR_ROTATION_PITCH_270) if table is not None else []
-    if table is None or not len(rows):
+    if table is None or not len(rows := np.flatnonzero(table["orientation"] == mavlink.MAV_SENSOR_ROTATION_PITCH_270)):
         return []
     distance = table["current_distance"][rows]
     is_within = (table["min_distance"][rows] <= distance) & (distance <= table["max_distance"][rows])
