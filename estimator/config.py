@@ -238,4 +238,18 @@ def parse(text: str, name: str = "configuration") -> Config:
         config.decoder()
     except ConfigError as error:
         raise ConfigError(f"{name}: {error}") from None
+    if why := _not_of_the_vehicle(config):
+        raise ConfigError(f"{name}: {why}")
     return config
+
+
+def _not_of_the_vehicle(config: Config) -> str:
+    """What is switched on although it does not hold for [bounds] vehicle, and would mislead; '' where nothing is."""
+    vehicle = config.bounds.vehicle
+    if config.drag.enabled and vehicle not in {"any", "multirotor"}:
+        return f'[drag] enabled: rotors have this drag, and [bounds] vehicle is "{vehicle}"; set enabled = false'
+    if config.rest.enabled and vehicle == "boat":
+        return '[rest] enabled: it is for what stands on the ground, and [bounds] vehicle is "boat"; set enabled = false'
+    if config.initialise.course_sigma_deg and vehicle == "multirotor":
+        return '[initialise] course_sigma_deg: a vehicle of [bounds] vehicle "multirotor" flies sideways; leave it out'
+    return ""

@@ -252,7 +252,7 @@ def _covariance(p: Array, phi: Array, rows: Array) -> None:
             p[i, j] = rows[i, j]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def _is_saturated(u: Array, i: int, sensor: int) -> bool:
     """Sample i, or the one before it, is at the end of the sensor's range: an axis reads a large number, and read it just before.
 

@@ -310,4 +310,5 @@ CASES: Final[dict[str, Mapping[str, Make]]] = {
     "second of two IMUs": _imus(2, "/imu2"),
     "autopilot's attitude": _attitude(),
     "course of GNSS": _course(),
+    "velocity of GNSS": _looping(lambda *_: [], ("/gnss/velocity",), _config()),
 }

@@ -9,19 +9,18 @@ import msgspec
 import numpy as np
 
 from estimator.filter.smoother import Smoothed, smooth
-from estimator.fusion import FusionConfig
-from estimator.sources.imu.choice import Choice
-from estimator.sources.imu.plausibility import sample_refusal
+from estimator.fusion import Fusion, FusionConfig
+from estimator.sources.imu.choice import KIND
 from estimator.version import version
 from logs.store.reader import LogError, LogReader
 from logs.store.recorder import Recorder
 from logs.wire.codec import Decoder, Encoded, encode
-from models.messages import Estimate, ImuSample, Input, Mode, vec3
+from models.messages import AidStatus, Estimate, ImuSample, Input, Mode, vec3
 
 TOPIC = "/landfix/smoothed"
 CONFIG_ATTACHMENT = "smoothed.toml"
 _PROGRESS_EVERY = 2000  # records
-_READ, _SMOOTHED = 0.3, 0.7  # fractions of the work after which the file is read and the flight is smoothed
+_READ, _CHOSEN, _SMOOTHED = 0.2, 0.4, 0.7  # fractions of the work: the file is read, the IMU chosen, the flight smoothed
 
 
 class SmoothLogConfig(Protocol):
@@ -61,8 +60,8 @@ def write_smoothed(
         raise LogError(f"{out}: the output would overwrite the input; name another file after -o")
     tell = progress or (lambda _: None)
     read = _read(source, config.decoder(), lambda fraction: tell(_READ * fraction))
-    messages = of_one_imu(read, config.fusion())
-    smoothed = smooth(messages, config.fusion(), lambda fraction: tell(_READ + (_SMOOTHED - _READ) * fraction))
+    messages = of_one_imu(read, config.fusion(), lambda fraction: tell(_READ + (_CHOSEN - _READ) * fraction))
+    smoothed = smooth(messages, config.fusion(), lambda fraction: tell(_CHOSEN + (_SMOOTHED - _CHOSEN) * fraction))
     arrivals = _arrivals(smoothed, messages)
     text = config.toml().encode()
     metadata = {"version": version(), "config_sha256": sha256(text).hexdigest()}
@@ -99,21 +98,24 @@ def _read(source: Path, decoder: Decoder, tell: Callable[[float], None]) -> list
     return messages
 
 
-def of_one_imu(messages: list[Input], config: FusionConfig) -> list[Input]:
-    """Of several IMUs the samples of that which led longest, while it led: the smoother does not go across a change."""
-    choice = Choice(config.imus, config.imu_topics)
-    if not choice.is_used:
+def of_one_imu(messages: list[Input], config: FusionConfig, tell: Callable[[float], None] = lambda _: None) -> list[Input]:
+    """Of several IMUs the samples of that which led longest, while it led: the smoother does not go across a change.
+
+    Positions may decide which IMU is wrong, so the flight is estimated once more to see which of them led.
+    """
+    if len(config.imu_topics) < 2:
         return messages
-    spans: list[tuple[int, int, str]] = []  # begin, end, topic
-    begin_ns, newest_ns = -(2**62), 0
-    for m in messages:
-        if isinstance(m, ImuSample) and sample_refusal(m) is None:
-            begin_ns = max(begin_ns, m.t_ns) if begin_ns < 0 else begin_ns
-            leader, newest_ns = choice.leader, max(newest_ns, m.t_ns)
-            if (change := choice.note(m)) is not None:
-                spans.append((begin_ns, change.since_ns, leader))
-                begin_ns = change.since_ns
-    begin_ns, end_ns, topic = max([*spans, (begin_ns, newest_ns, choice.leader)], key=lambda span: span[1] - span[0])
+    fusion, led = Fusion(config), dict[int, str]()  # topics by the time from which they led
+    for k, m in enumerate(messages):
+        led |= {out.t_ns: out.topic for out in fusion.handle(m) if isinstance(out, AidStatus) and out.kind == KIND}
+        if k % _PROGRESS_EVERY == 0:
+            tell(k / len(messages))
+    stamps = [m.t_ns for m in messages if isinstance(m, ImuSample)]
+    begins = [(-(2**62), config.imu_topics[0]), *sorted(led.items())]
+    ends = [t_ns for t_ns, _ in begins[1:]] + [max(stamps, default=0)]
+    first_ns = min(stamps, default=0)
+    spans = [(max(begin, first_ns), end, topic) for (begin, topic), end in zip(begins, ends, strict=True)]
+    begin_ns, end_ns, topic = max(spans, key=lambda span: span[1] - span[0])
     return [m for m in messages if not isinstance(m, ImuSample) or (m.topic == topic and begin_ns <= m.t_ns <= end_ns)]
 
 

@@ -11,6 +11,7 @@ GAUSS_T = 1e-4
 UERE_M = 3.0  # user equivalent range error: gives the 2.5 m CEP of consumer receivers at HDOP 1 (CEP = 1.18 UERE / sqrt 2)
 VDOP_OVER_HDOP = 1.5  # typical, where a log has no VDOP
 _TRUTH_GAP_NS = 1_500_000_000  # a truth with larger gaps is not interpolated
+_SEA_LEVEL_KG_M3 = 1.225  # density of the standard atmosphere
 _NO_FIELD_GAUSS = 1e3  # Earth's is below 0.7
 _AXES_LEAN = 0.7  # of the mean specific force that must point up if the axes are right
 
@@ -74,6 +75,11 @@ def highres_field(field_b: Array) -> Array:
     """Tesla (n, 3) of the magnetic field in HIGHRES_IMU: gauss, but microgauss from ArduPilot (4.7.0-dev)."""
     is_micro = np.linalg.norm(field_b, axis=1, keepdims=True) > _NO_FIELD_GAUSS
     return GAUSS_T * np.where(is_micro, 1e-6, 1.0) * field_b
+
+
+def indicated_airspeed(pressure_pa: Array) -> Array:
+    """v = sqrt(2 q / rho_0) [m/s] of a dynamic pressure q [Pa], (n,); with the sign of q."""
+    return np.asarray(np.copysign(np.sqrt(2.0 * np.abs(pressure_pa) / _SEA_LEVEL_KG_M3), pressure_pa))
 
 
 def standard_pressure(height_m: Array) -> Array:

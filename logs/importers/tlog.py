@@ -2,7 +2,8 @@
 
     HIGHRES_IMU, else RAW_IMU, SCALED_IMU, SCALED_IMU2 (coarse: noted)  ->  /imu, /mag
     SCALED_IMU2, SCALED_IMU3 at 20 Hz or more  ->  /imu2, /imu3
-    GPS_RAW_INT, GPS2_RAW         ->  /gnss, /gnss/velocity, /gnss2, /gnss2/velocity            SCALED_PRESSURE  ->  /baro
+    GPS_RAW_INT, GPS2_RAW         ->  /gnss, /gnss/velocity, /gnss2, /gnss2/velocity
+    SCALED_PRESSURE               ->  /baro, indicated /airspeed                       DISTANCE_SENSOR, downwards  ->  /range
     SIM_STATE                     ->  /truth: of ArduPilot's simulator
     LOCAL_POSITION_NED, ATTITUDE  ->  /truth where there is no SIM_STATE: the autopilot's own estimate, for reference only;
                                       ATTITUDE  ->  /attitude
@@ -42,7 +43,8 @@ _TURN, _WAY, _Q = (tuple(f"{name}{k}" for k in range(n)) for name, n in (("angle
 _FIELDS = {
     "HIGHRES_IMU": _RAW, "RAW_IMU": _RAW, "SCALED_IMU": _RAW, "SCALED_IMU2": _RAW, "SCALED_IMU3": _RAW,
     "GPS_RAW_INT": _GPS, "GPS2_RAW": _GPS,
-    "SCALED_PRESSURE": ("press_abs",),
+    "SCALED_PRESSURE": ("press_abs", "press_diff"),
+    "DISTANCE_SENSOR": ("orientation", "min_distance", "max_distance", "current_distance"),
     "ATTITUDE": ("roll", "pitch", "yaw"),
     "SIM_STATE": ("lat_int", "lon_int", "alt", "vn", "ve", "vd", "q1", "q2", "q3", "q4"),
     "LOCAL_POSITION_NED": ("x", "y", "z", "vx", "vy", "vz"),
@@ -110,11 +112,19 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
             origin = sensors.origin_of_truth(gnss[0], truth, delay_s, _known_origin(tables))
     aids = [*gnss, *_odometry(tables, notes), *_camera(tables), *_flow(tables, imu, notes)]
     altitude = "above the ellipsoid where the log holds it, else above mean sea level"
-    settings = Settings(gnss_delay_s=delay_s, origin=origin, altitude=altitude, wheels="WHEEL_DISTANCE" in tables)
+    settings = Settings(
+        gnss_delay_s=delay_s,
+        origin=origin,
+        altitude=altitude,
+        wheels="WHEEL_DISTANCE" in tables,
+        airspeed={"indicated": True},
+    )
     return Recording.of(
         (
             *aids,
             *_baro(tables),
+            *_airspeed(tables),
+            *_range(tables),
             *_field(tables, autopilot),
             *_heading(tables),
             *_attitude(tables),
@@ -308,6 +318,26 @@ def _baro(tables: Mapping[str, _Table]) -> list[Stream]:
     if table is None:
         return []
     return [recording.sensor("baro", table.t_ns, table.arrived_ns, table.vector("press_abs") * 100.0)]
+
+
+def _airspeed(tables: Mapping[str, _Table]) -> list[Stream]:
+    """Indicated airspeed of the dynamic pressure, hPa; 0: there is no pitot tube."""
+    table = tables.get("SCALED_PRESSURE")
+    if table is None or not len(rows := np.flatnonzero(table["press_diff"])):
+        return []
+    speed = sensors.indicated_airspeed(100.0 * table["press_diff"][rows])
+    return [recording.sensor("airspeed", table.t_ns[rows], table.arrived_ns[rows], speed[:, np.newaxis])]
+
+
+def _range(tables: Mapping[str, _Table]) -> list[Stream]:
+    """Of a range finder that looks down, cm; outside its limits there is no echo."""
+    table = tables.get("DISTANCE_SENSOR")
+    if table is None or not len(rows := np.flatnonzero(table["orientation"] == mavlink.MAV_SENSOR_ROTATION_PITCH_270)):
+        return []
+    distance = table["current_distance"][rows]
+    is_within = (table["min_distance"][rows] <= distance) & (distance <= table["max_distance"][rows])
+    z_m = np.where(is_within, 1e-2 * distance, np.inf)
+    return [recording.sensor("range", table.t_ns[rows], table.arrived_ns[rows], z_m[:, np.newaxis])]
 
 
 def _field(tables: Mapping[str, _Table], autopilot: int) -> list[Stream]:

@@ -84,6 +84,12 @@ def test_everything_survives_writing_and_reading() -> None:
         ("[map]\norigin = [91, 8, 0]\n", "v.toml: map.origin[0] = 91: expected float <= 90.0"),
         ('[inputs]\nimu = "/a"\ngnss = "/a"\n', "v.toml: [inputs]: topic /a cannot feed two inputs"),
         ("[output]\nrate_hz = '50'\n", 'v.toml: output.rate_hz = "50": expected float, got str'),
+        ('[bounds]\nvehicle = "fixed_wing"\n[drag]\nenabled = true\n', "v.toml: [drag] enabled: rotors have this drag, and "),
+        ('[bounds]\nvehicle = "boat"\n[rest]\nenabled = true\n', "v.toml: [rest] enabled: it is for what stands on the ground"),
+        (
+            '[bounds]\nvehicle = "multirotor"\n[initialise]\ncourse_sigma_deg = 5\n',
+            'v.toml: [initialise] course_sigma_deg: a vehicle of [bounds] vehicle "multirotor" flies sideways',
+        ),
     ],
 )
 def test_a_mistake_is_one_line_that_names_file_and_key(text: str, expected: str, tmp_path: Path) -> None:
@@ -94,6 +100,13 @@ def test_a_mistake_is_one_line_that_names_file_and_key(text: str, expected: str,
     line = str(caught.value).replace(str(tmp_path) + "/", "")
     assert line.startswith(expected)
     assert "\n" not in line
+
+
+@pytest.mark.parametrize("vehicle", ["any", "multirotor"])
+def test_drag_and_rest_are_for_a_multirotor_and_for_any_vehicle(vehicle: str) -> None:
+    config = parse(f'[bounds]\nvehicle = "{vehicle}"\n[drag]\nenabled = true\n[rest]\nenabled = true\n')
+    assert config.drag.enabled
+    assert config.rest.enabled
 
 
 def test_a_file_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:

@@ -221,6 +221,15 @@ def test_given_a_change_then_the_smoother_has_the_samples_of_the_imu_that_led_lo
     assert FAULT_S - 0.1 < _seconds(used[-1].t_ns) < FAULT_S
 
 
+def test_given_positions_decide_between_two_then_the_smoother_has_the_samples_of_the_right_one(journey: Ride) -> None:
+    messages = BIASED.of(by_arrival([*journey.messages, *_other(journey, "/imu2", 1)]))
+    late = [m for m in messages if _seconds(m.t_ns) > FAULT_S - 15.0]  # the first leads for 15 s, the second for 20 s
+    used = [m for m in of_one_imu(late, _config("/imu", "/imu2")) if isinstance(m, ImuSample)]
+    assert {m.topic for m in used} == {"/imu2"}
+    assert FAULT_S - 5.0 < _seconds(used[0].t_ns) < FAULT_S
+    assert _seconds(used[-1].t_ns) > END_S - 0.1
+
+
 def test_given_imus_that_are_mounted_apart_then_each_is_turned_into_the_body() -> None:
     config = parse('[inputs]\nimu = ["/imu", "/imu2"]\n[imu]\nothers_rpy_deg = [[0, 0, 90]]\n')
     sample = ImuSample(1, 1, (0.1, 0.2, 0.3), (1.0, 2.0, 3.0), "/imu2")

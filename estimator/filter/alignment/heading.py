@@ -10,7 +10,7 @@ For n equal headings all around this is a yaw sigma of pi / sqrt(3), 104 degrees
 
 A filter whose heading is wrong takes tilt for accelerometer bias, and turns the one into the other as its heading is
 corrected: it gains what cannot be known (false observability; Huang, Mourikis and Roumeliotis 2010). So nothing is published of
-the accelerometer bias, the tilt has the variance of levelling on top, heading and gyro bias have twice their sigma.
+the accelerometer bias, the tilt has the variance of levelling on top, the heading has three times its sigma, the gyro bias twice.
 """
 
 import math
@@ -47,7 +47,7 @@ def covariance(bank: Hypotheses, config: InitialiseConfig) -> Array:
     down_b = so3.matrix(bank.lead.x[X.Q])[2]
     heading = float(down_b @ cov[E.THETA, E.THETA] @ down_b)
     most = max(initialise.NO_HEADING**2 - heading, 0.0)
-    cov[E.THETA, E.THETA] += min(3.0 * heading, most) * np.outer(down_b, down_b)
+    cov[E.THETA, E.THETA] += min(8.0 * heading, most) * np.outer(down_b, down_b)
     cov[E.THETA, E.THETA] += math.atan(config.accel_bias_sigma / GRAVITY) ** 2 * np.eye(3)
     cov[E.BG, E.BG] *= 4.0
     cov[E.BA], cov[:, E.BA] = 0.0, 0.0

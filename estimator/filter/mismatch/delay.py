@@ -76,7 +76,8 @@ class Delay(NamedTuple):
     def also(self, t_ns: int, seen: Innovation, column: int, gate: float = math.inf) -> "Delay":
         """With one more innovation; column: where tau stands in P.
 
-        gate: a reading beyond it counts where it shows a delay by itself, and nothing else: the rest of nu is inside the gate.
+        gate: a reading beyond it counts where it shows a delay by itself, and nothing else: with the delay that all of them
+        show, it is inside the gate.
         """
         if self.is_state:
             return self
@@ -88,13 +89,15 @@ class Delay(NamedTuple):
             return sums
         cholesky.substitute(low, weighed)  # S^-1 j
         information, score = float(weighed @ j), float(weighed @ seen.nu)
-        if seen.distance2 > gate and not (
-            score**2 > max(_SIGMAS**2, seen.distance2 - gate) * information and abs(score) < _LONGEST_S * information
-        ):
-            return sums
-        information, score, readings = sums.information + information, sums.score + score, sums.readings + 1
-        shown = readings >= _FEWEST and information * _KNOWN_S**2 > 1.0 and score**2 > _SIGMAS**2 * information
-        return Delay(sums.since_ns, information, score, readings, shown, sums.before)
+        total, scores = sums.information + information, sums.score + score
+        if seen.distance2 > gate:
+            tau = scores / total
+            left = seen.distance2 - 2.0 * tau * score + tau**2 * information  # (nu - J' tau)^T S^-1 (nu - J' tau)
+            if left > gate or score**2 < _SIGMAS**2 * information or abs(score) > _LONGEST_S * information:
+                return sums
+        readings = sums.readings + 1
+        shown = readings >= _FEWEST and total * _KNOWN_S**2 > 1.0 and scores**2 > _SIGMAS**2 * total
+        return Delay(sums.since_ns, total, scores, readings, shown, sums.before)
 
 
 Delays: TypeAlias = dict[str, Delay]  # by topic of the source, or of its receiver's positions

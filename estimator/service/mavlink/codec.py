@@ -16,8 +16,7 @@ import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
 from estimator.service.autopilot.px4_messages import position_sigmas
-from estimator.sources.air.through_air import SEA_LEVEL_KG_M3
-from logs.importers.sensors import highres_field, navsat_status, variance_from_dop
+from logs.importers.sensors import highres_field, indicated_airspeed, navsat_status, variance_from_dop
 from models import so3
 from models.frames import GRAVITY
 from models.messages import Alert, Array, AttitudePrior, Estimate, GnssFix, GnssVelocity, ImuSample, Integrity, Vec3, vec3
@@ -261,8 +260,8 @@ def _range(message: Any) -> tuple[float, ...] | None:
 
 
 def _indicated(hectopascal: float) -> tuple[float, ...]:
-    """Indicated airspeed [m/s] of a dynamic pressure: sqrt(2 q / rho_0)."""
-    return (math.copysign(math.sqrt(2.0 * _HPA_PA * abs(hectopascal) / SEA_LEVEL_KG_M3), hectopascal),)
+    """Indicated airspeed [m/s] of a dynamic pressure."""
+    return (float(indicated_airspeed(np.array(_HPA_PA * hectopascal))),)
 
 
 def _airspeed(message: Any) -> tuple[float, ...] | None:

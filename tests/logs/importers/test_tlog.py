@@ -307,6 +307,23 @@ def test_wheels_are_a_velocity_forward(tmp_path: Path) -> None:
     assert "across_sigma_m_s = 0.1" in recording.settings.toml("tlog", tmp_path, ("/imu", "/velocity_body"))
 
 
+def test_airspeed_is_indicated_and_range_is_that_of_the_sensor_that_looks_down(tmp_path: Path) -> None:
+    ground = Ground(autopilot=3)
+    for k, (pressure_hpa, down, distance_cm) in enumerate([(2.45, 25, 450), (0.0, 25, 5000), (2.45, 0, 700)]):
+        boot_ms = 1000 + 50 * k
+        ground.imu(k * 50_000, 1000 * boot_ms)
+        ground.hear(k * 50_000, mavlink2.MAVLink_scaled_pressure_message(boot_ms, 950.0, pressure_hpa, 2000))
+        ground.hear(k * 50_000, mavlink2.MAVLink_distance_sensor_message(boot_ms, 20, 4000, distance_cm, 0, 0, down, 0))
+    recording = tlog.read(ground.write(tmp_path))
+    values: dict[str, list[float]] = {"airspeed": [], "range": []}
+    for m in recording:
+        if isinstance(m, Reading) and m.kind in values:
+            values[m.kind].append(m.values[0])
+    np.testing.assert_allclose(values["airspeed"], [20.0, 20.0], rtol=1e-6)  # 245 Pa = 1.225 / 2 * 20^2
+    np.testing.assert_allclose(values["range"], [4.5, np.inf])
+    assert "indicated = true" in recording.settings.toml("tlog", tmp_path, ("/imu", "/airspeed"))
+
+
 def odometry(boot_us: int, x: float, *, estimator: int = 3, reset: int = 0, quality: int = 80, child: int = 12) -> Any:
     nothing = [float("nan")] * 21
     return mavlink2.MAVLink_odometry_message(
