@@ -172,10 +172,14 @@ def solve(
             system = _linearised(geometry, y, motion, unknowns[6], pi, plane, (shifted, variance0, y1, variance1))
         except np.linalg.LinAlgError:  # points at infinity or behind the camera: it runs away
             break
-        weights, distances, scale = _weights(system, guide is not None)
-        CtS = np.matmul(system.C.transpose(0, 2, 1), system.S_inverse) * weights[:, None, None]
-        N = np.tensordot(CtS, system.C, ((0, 2), (0, 1))) + prior
-        right = np.tensordot(CtS, system.e, ((0, 2), (0, 1))) - prior @ unknowns
+        both = np.concatenate((system.C, system.e[:, :, None]), axis=2)
+        weighted = np.matmul(system.S_inverse, both)
+        distances: Array = (system.e * weighted[:, :, -1]).sum(axis=1)
+        weights, scale = _weights(distances, guide is not None)
+        weighted *= weights[:, None, None]
+        rows = both.shape[2]
+        sums = both.reshape(-1, rows).T @ weighted.reshape(-1, rows)
+        N, right = sums[:-1, :-1] + prior, sums[:-1, -1] - prior @ unknowns
         try:
             L = np.linalg.cholesky(N[:free, :free])
         except np.linalg.LinAlgError:
@@ -301,18 +305,17 @@ def _with_plane(
     return np.column_stack((e, off)), C_4, with_row, np.column_stack((noise, variance))
 
 
-def _weights(system: _System, guided: bool) -> tuple[Array, Array, float]:
-    """Weights (N,), squared distances (N,), and the scale of the residuals (1: as expected).
+def _weights(distances: Array, guided: bool) -> tuple[Array, float]:
+    """Weights (N,) of squared distances (N,), and the scale of the residuals (1: as expected).
 
     Cauchy's; guided: those of Geman and McClure, by which far points do not count.
     """
-    distances = np.einsum("nr,nrs,ns->n", system.e, system.S_inverse, system.e)
     if guided:
         redescending: Array = 1.0 / (1.0 + distances / _GUIDED**2) ** 2
-        return redescending, distances, 1.0
+        return redescending, 1.0
     scale = max(float(np.median(distances)) / _MEDIAN_CHI2, 1.0)
     weights: Array = 1.0 / (1.0 + distances / (_CAUCHY**2 * scale))
-    return weights, distances, float(np.sqrt(scale))
+    return weights, float(np.sqrt(scale))
 
 
 def _points_after(z0: Array, variance0: Array, system: _System, step: Array) -> Array:
