@@ -27,6 +27,7 @@ from vision.odometry.step import Step
 from vision.odometry.views import grey
 
 OUT = Path("out/bench_odometry")
+ROUNDS = 8  # of the measurement of time
 HEIGHTS_M = (10.0, 30.0, 60.0, 120.0)
 COLUMNS = (
     "set", "steps", "lost", "step m", "drift %", "deg/m", "end %", "step mm", "step deg", "NEES/3 p", "NEES/3 rot",
@@ -126,22 +127,26 @@ def motion() -> list[Table]:
 
 
 def speed() -> list[Table]:
-    """Processor time of a pair: its frame (rectification included) and the step to it."""
+    """Processor time of a pair of grey images: its frame (rectification included) and the step to it."""
+    timed = [(f"{width} x {height}, {kind}", sets.nadir(30.0, kind, exact=True, size=(width, height)))
+             for width, height in ((1280, 720), (640, 480)) for kind in ("village", "grass", "forest")]  # fmt: skip
+    if (data_folder() / "odometry").is_dir():
+        timed.append(("752 x 480, hand-held at 5 Hz", sets.euroc(sets.HANDHELD, 340).every(4)))
     rows = []
-    for name, scored in (
-        (
-            "VGA 752 x 480, recorded",
-            run(sets.euroc(sets.HANDHELD, 340).every(4)) if (data_folder() / "odometry").is_dir() else None,
-        ),
-        ("VGA 640 x 480, rendered", run(sets.nadir(30.0, "village", exact=True))),
-        ("720p, rendered", run(sets.nadir(30.0, "village", exact=True, size=(1280, 720)))),
-    ):
-        if scored is not None:
-            both = np.array(scored.frame_ms[1:]) + scored.step_ms
-            p50, p99 = np.percentile(both, [50, 99]).tolist()
-            frame, step = float(np.median(scored.frame_ms)), float(np.median(scored.step_ms))
-            rows.append((name, *(f"{x:.1f}" for x in (frame, step, p50, p99))))
-    return [Table("Processor time, ms a pair", ("size", "frame p50", "step p50", "both p50", "both p99"), rows)]
+    for name, sequence in timed:
+        kept = replace(
+            sequence, frames=[f._replace(images=_held(*(grey(image) for image in f.images()))) for f in sequence.frames]
+        )
+        rounds = [run(kept) for _ in range(ROUNDS)]
+        each = np.array([np.array(scored.frame_ms[1:]) + scored.step_ms for scored in rounds])
+        best = (f"{x:.1f}" for x in np.percentile(each.min(axis=0), [50, 99]).tolist())
+        rows.append((name, *best, *(f"{x:.1f}" for x in np.percentile(each, [50, 99]).tolist())))
+    columns = ("grey images", "best of each pair: p50", "p99", f"all of {ROUNDS} rounds: p50", "p99")
+    return [Table("Processor time, ms a pair", columns, rows)]
+
+
+def _held(left: Image, right: Image) -> Callable[[], tuple[Image, Image]]:
+    return lambda: (left, right)
 
 
 def outage() -> list[Table]:

@@ -94,6 +94,18 @@ def test_a_source_is_shown_with_its_state_and_the_fate_of_its_measurements() -> 
         assert said in text
 
 
+def test_odometry_that_carries_the_estimate_is_the_mode_and_has_its_line() -> None:
+    view = View()
+    for reason in (Reason.FUSED, Reason.FUSED, Reason.GATED):
+        status = AidStatus(T0, T0, "/odometry", "odometry", reason, test_ratio=0.2)
+        view.hear("/landfix/aid_status", encode(status)[0].data, 1.0)
+    health = Health(T0, T0, Mode.ODOMETRY, 31.0, 2.5, 0.5, 0, {"/odometry": "active"}, {}, 1)
+    view.hear("/landfix/health", encode(health)[0].data, 1.0)
+    lines = _text(view, 1.5).splitlines()
+    assert any(line.split()[1:3] == ["mode", "odometry"] for line in lines)
+    assert any(all(said in line for said in ("/odometry", "active", "2 fused", "1 gated")) for line in lines)
+
+
 def test_links_and_defects_are_shown_where_there_are_any() -> None:
     values = {
         "vision": {"state": "does not answer", "fixes": 7, "pairs": 9, "latency_ms": 43.5, "restarts": 2},
