@@ -270,9 +270,11 @@ def test_a_change_of_integrity_is_said_once_and_ends_the_use_of_the_odometry() -
             integrity = Integrity(t_ns, t_ns, state, reason, 1e-5, 3.0, 3.0, 10.0, 10.0, (), (), (), 0.1, 0.1)
             link.send([_estimate(t_ns), _fused(t_ns), integrity], ())
         autopilot.until(lambda: len(autopilot.of("ODOMETRY")) == 4, "four estimates")
-        texts = [(m.severity, m.text) for m in autopilot.of("STATUSTEXT")]
-        assert [severity for severity, _ in texts] == [6, 2, 6]
-        assert texts[1][1] == "landfix: do not use, HPL 31.4 m, limit 10 m: /pose"
+        parts = [(m.severity, m.id, m.chunk_seq, m.text) for m in autopilot.of("STATUSTEXT")]
+        assert [severity for severity, *_ in parts] == [6, 2, 2, 6]
+        assert parts[1] == (2, 2, 0, "landfix: do not use, HPL 31.4 m, limit 10 m: /pose")
+        assert parts[2] == (2, 2, 1, "_fix wrong for long")
+        assert [number for _, number, *_ in parts] == [0, 2, 2, 0]
         assert [m.quality for m in autopilot.of("ODOMETRY")] == [84, -1, -1, 84]
         assert said[-1] == "px4: odometry may be used"
 
