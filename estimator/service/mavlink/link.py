@@ -196,8 +196,8 @@ class MavlinkLink:
         radius_m = float(horizontal_radius(estimate.covariance[None, :2, :2])[0])
         if quality >= 0:
             line = "odometry may be used"
-        elif (now := self._policy.integrity) is not None and self._policy.is_alarmed:
-            line = f"odometry is not to be used: {now.reason}"
+        elif self._policy.is_alarmed:  # the reason, with its numbers, has a line of its own
+            line = "odometry is not to be used: so says integrity"
         elif not knows_frame and self._local.place is not None and self._map_origin is not None:
             return  # it has come meanwhile: the next message is in its frame
         elif not knows_frame:
