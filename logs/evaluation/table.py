@@ -122,7 +122,7 @@ def consistency(h: ConsistencySummary) -> Rows:
 
 
 def integrity(i: IntegritySummary) -> Rows:
-    """Protection levels against errors, a column each for horizontal and vertical; states. Without limits there is less to say."""
+    """Protection levels against errors, a column for horizontal and vertical; states. Without limits there are fewer rows."""
     is_judged = any(limit is not None for limit in i.limits_m)
     sides = zip(("horizontal", "vertical"), (i.horizontal, i.vertical), i.limits_m, strict=True)
     columns = {side: _against(r, limit, i.risks_per_hour) for side, r, limit in sides if r is not None}

@@ -42,13 +42,11 @@ def test_in_a_street_what_is_not_in_the_map_lies_as_what_is() -> None:
 
 
 def test_what_is_not_in_the_map_differs_no_more_than_what_is() -> None:
-    """All houses of the map are rectangles: so are the others. The kernel alone would make that four times rarer."""
+    """All houses of the map are rectangles: so are the others. With a kernel of 0.03 a fill ratio of 0.96 was half as likely."""
     known = street(np.random.default_rng(1).uniform(0.0, math.pi, 64))
-    kernel = np.sqrt(0.03**2 + 0.01**2) / np.sqrt(0.0045**2 + 0.01**2)
     features = np.array([[math.log(8.0), math.log(11.0), fill, 0.5] for fill in (1.0, 0.96)])
     noise = np.repeat(NOISE[None], 2, axis=0)
     like, unlike = attributes(features, noise, known, LEVEL, LEVEL, Assumptions())[:, 0, 0]
-    assert kernel > 2.0
     assert like > 100.0 * unlike
 
 
