@@ -36,6 +36,7 @@ def run_jobs(
     with kept.open("w") as file, context.Pool(processes, cv2.setNumThreads, (1,)) as pool:
         for name, result in results.items():  # anew: the last line may have been cut off
             file.write(_line(name, result))
+        file.flush()  # nothing is lost when the process is killed before its first job is done
         done = pool.imap(work, left) if executor is None else executor.map(work, left)
         for job, result in track(zip(left, done, strict=True), "jobs", len(left), console=Console(stderr=True)):
             results[_name(job)] = result

@@ -1,7 +1,7 @@
 """What the campaign has counted so far, one line a job, in docs/integrity_runs.csv: added to by every run, no job twice.
 
 A job is a flight or frames with its seed, so the same one on another machine is no new evidence. The line of a job that was run
-again replaces the one before, with the version of the code that it was run with.
+again replaces the one before; the commit that changed the line names the code that it was run with.
 """
 
 import csv
@@ -37,7 +37,7 @@ def added(rows: Sequence[Row], record: Path = RECORD) -> list[Row]:
 
 
 def not_yet(jobs: Iterable[Job], record: Path = RECORD) -> list[Job]:
-    """Without the looks and rendered pairs that stand in the record: what they show depends on nothing but the seed."""
+    """Without the looks and rendered pairs that stand in the record: a seed counts once, by the code of its time."""
     known = {tuple(line[:_JOB]) for line in _read(record)}
     return [job for job in jobs if job[0] not in _IDENTIFICATION or _named(job) not in known]
 

@@ -64,7 +64,9 @@ class Console:
 
         elif isinstance(output, Integrity) and output.state is not self._alert:
             self._alert = output.state
-            self.say(f"integrity: {output.state.value}, {output.reason or f'HPL {output.hpl_m:.1f} m, VPL {output.vpl_m:.1f} m'}")
+            levels = f"HPL {output.hpl_m:.1f} m, VPL {output.vpl_m:.1f} m"
+            limits = "no alert limits configured, " if output.state is Alert.NOT_JUDGED else ""
+            self.say(f"integrity: {output.state.value}, {output.reason or limits + levels}")
 
     def closed(self, logs: Sequence[Path], lost_inputs: int) -> None:
         """Print each log file of this run with its size, and whether it is complete; called after the log is closed."""

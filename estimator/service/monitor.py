@@ -264,7 +264,8 @@ def _alert(integrity: Integrity) -> Text:
         f"{name} {level:.1f}{'' if math.isinf(limit) else f' of {limit:g}'} m" if math.isfinite(level) else f"{name} unbounded"
         for name, level, limit in levels
     )
-    words = f"{i.state}   {shown} at {i.risk_per_hour:g} per hour"
+    state = f"{i.state}, no alert limits configured" if i.state is Alert.NOT_JUDGED else str(i.state)
+    words = f"{state}   {shown} at {i.risk_per_hour:g} per hour"
     return Text(f"{words}\n{i.reason}" if i.reason else words, style=_ALERTS[i.state])
 
 

@@ -7,9 +7,11 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from logs.evaluation.integrity import IntegritySummary
+from logs.evaluation.integrity import IntegritySummary, Regions
 from logs.evaluation.metrics import Consistency, Stats
 from logs.evaluation.records import Accuracy, ConsistencySummary, Evaluation
+
+_OF_A_LIMIT = ("limit m", "available", "hazardous", "unavailable")  # rows of the integrity table that need one
 
 Rows = tuple[str, tuple[str, ...], Sequence[Sequence[str]]]  # title, header, rows
 
@@ -120,19 +122,27 @@ def consistency(h: ConsistencySummary) -> Rows:
 
 
 def integrity(i: IntegritySummary) -> Rows:
-    """Protection levels against errors, a column each for horizontal and vertical; states."""
-    names = ("limit m", "median level m", "available", "compared", "nominal", "misleading", "hazardous", "unavailable")
-    columns = []
-    for r, limit in zip((i.horizontal, i.vertical), i.limits_m, strict=True):
-        if r is not None:
-            share = "-" if limit is None else f"{r.available:.1%}"
-            counts = (r.compared, r.nominal, r.misleading, r.hazardous, r.unavailable, *r.exceeded[:-1])
-            columns.append((number(limit), number(r.median_level_m), share, *map(str, counts)))
-    above = [f"above PL({r:g}/h)" for r in i.risks_per_hour]
-    rows = [(name, *cells) for name, *cells in zip((*names, *above), *columns, strict=False)]
+    """Protection levels against errors, a column for horizontal and vertical; states. Without limits there are fewer rows."""
+    is_judged = any(limit is not None for limit in i.limits_m)
+    sides = zip(("horizontal", "vertical"), (i.horizontal, i.vertical), i.limits_m, strict=True)
+    columns = {side: _against(r, limit, i.risks_per_hour) for side, r, limit in sides if r is not None}
+    names = [name for name in next(iter(columns.values()), {}) if is_judged or name not in _OF_A_LIMIT]
+    rows = [(name, *(column[name] for column in columns.values())) for name in names]
     states = ", ".join(f"{state} {share:.1%}" for state, share in sorted(i.states.items(), key=lambda s: -s[1]))
-    levels = [name for name, r in (("horizontal", i.horizontal), ("vertical", i.vertical)) if r is not None]
-    return f"Integrity at {i.risk_per_hour:g} per hour, {i.hours:.2g} h: {states}", ("", *levels), rows if columns else []
+    said = states if is_judged else "no alert limits configured, so nothing is judged"
+    return f"Integrity at {i.risk_per_hour:g} per hour, {i.hours:.2g} h: {said}", ("", *columns), rows
+
+
+def _against(r: Regions, limit_m: float | None, risks_per_hour: Sequence[float]) -> dict[str, str]:
+    """What the table has of one direction."""
+    of_limit = ("none", "-", "-", "-")
+    if limit_m is not None:
+        of_limit = (number(limit_m), f"{r.available:.1%}", str(r.hazardous), str(r.unavailable))
+    median = "unbounded" if r.median_level_m is None else number(r.median_level_m)
+    counts = {"compared": r.compared, "nominal": r.nominal, "misleading": r.misleading}
+    above = {f"above PL({risk:g}/h)": n for risk, n in zip(risks_per_hour, r.exceeded, strict=False)}
+    shown = {name: str(n) for name, n in (counts | above).items()}
+    return dict(zip(_OF_A_LIMIT, of_limit, strict=True)) | {"median level m": median} | shown
 
 
 def outages(e: Evaluation) -> Rows:

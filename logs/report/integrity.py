@@ -21,6 +21,8 @@ _STATES: Final[dict[str, Colour]] = {
     Alert.DO_NOT_USE: "vermillion",
 }
 _COLOURS: Final[tuple[Colour, Colour]] = ("blue", "sky")
+_POINTS: Final = 4000  # more than a plot has spans
+_USUAL: Final = 3  # times the median: longer is a pause
 _SIDE: Final = "width:26em;max-width:100%"
 
 
@@ -35,7 +37,7 @@ def charts(levels: Sequence[Integrity], c: Comparison, start_ns: int) -> dict[st
     )
     for (side, level, first, limit), error in zip(sides, errors, strict=True):
         risks = f"{levels[-1].risk_per_hour:g} per hour", f"{levels[-1].risks_per_hour[0]:g} per hour"
-        both = _buckets(t_ns, np.array([level, first]).T)
+        both = _buckets(*_held(t_ns, np.array([level, first]).T))
         parts = [line(f"level, {risks[k]}", _COLOURS[k], both, k, start_ns) for k in range(len(risks))]
         if len(c):
             parts.append(line("error", "black", _buckets(c.t_ns, error[:, None]), 0, start_ns))
@@ -56,6 +58,15 @@ def plots(levels: Sequence[Integrity], c: Comparison) -> str:
         stanford(compared.vertical, np.array([i.vpl_m for i in at]), at[-1].val_m, "vertical"),
     )
     return '<div class="beside">' + "".join(f'<div style="{_SIDE}">{side}</div>' for side in sides) + "</div>"
+
+
+def _held(t_ns: Times, values: Array) -> tuple[Times, Array]:
+    """Each value until the next one comes, for the spans of a plot are shorter than that; a longer pause than usual stays one."""
+    holds_ns = _USUAL * int(np.median(np.diff(t_ns))) if len(t_ns) > 1 else 0
+    between = np.arange(t_ns[0], t_ns[-1], max(int(t_ns[-1] - t_ns[0]) // _POINTS, 1))
+    row = np.searchsorted(t_ns, between, side="right") - 1
+    held = between - t_ns[row] <= holds_ns
+    return np.concatenate([t_ns, between[held]]), np.concatenate([values, values[row[held]]])
 
 
 def _buckets(t_ns: Times, values: Array) -> Buckets:

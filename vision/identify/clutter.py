@@ -16,8 +16,9 @@ from vision.identify.catalogue import OBLONG, Assumptions, Catalogue
 from vision.identify.clutter_density import ClutterDensity
 from vision.identify.partial import Partial
 
-_LIKENESS = 0.05, 0.05, 0.03  # of the kernel: how far width, length (logarithms), fill ratio of an object are from its like
-_NEIGHBOURS, _HEADING_LIKENESS = 5, (math.radians(1.0), 0.1)  # the same of its orientation lies between these
+_LIKENESS = np.array([0.05, 0.05, 0.03])  # at most: how far width, length (logarithms), fill ratio of an object are from its like
+_LIKE_FEW = 5  # objects that differ so much are added to those of the map: of a few the spread is not known
+_NEIGHBOURS, _HEADING_LIKENESS = 5, (math.radians(0.5), 0.1)  # the same of its orientation lies between these
 _CONSIDERED = 30  # landmarks, the nearest, from which displacements are counted
 
 
@@ -42,8 +43,9 @@ def clutter_density(
     """Density of objects that are not in the map: of each region's position (arm, own: its covariance) and attributes (M, T,
     S).
     """
-    density = intensity(arm, own, landmarks, turns, log_scales, b) * attributes
-    return ClutterDensity(np.log(density), turns, log_scales)
+    density = intensity(arm, own, landmarks, turns, log_scales, b)
+    above = np.log(density / _anywhere(landmarks, b)).sum(axis=0) / max(len(arm), 1)
+    return ClutterDensity(np.log(density * attributes), above, turns, log_scales)
 
 
 def grid(covariance: Array) -> tuple[Array, Array]:
@@ -63,7 +65,7 @@ def attributes(features: Array, noise: Array, landmarks: Catalogue, turns: Array
         return density + anything
     e = landmarks.features[None] - features[:, None]
     half_turn = np.where(landmarks.features[:, 1] - landmarks.features[:, 0] > math.log(OBLONG), math.pi, 0.5 * math.pi)
-    kernel = noise + np.diag([*_LIKENESS, _heading_likeness(landmarks.features[:, 3])]) ** 2
+    kernel = noise + np.diag(_bandwidth(landmarks.features)) ** 2
     white = np.linalg.inv(np.linalg.cholesky(kernel)).transpose(0, 2, 1)  # e white has the covariance 1
     volume = (2.0 * math.pi) ** 2 / np.linalg.det(white)
     grown = white[:, :2].sum(axis=1)
@@ -81,13 +83,24 @@ def sides(part: Partial, noise: Array, count: int, turns: Array, log_scales: Arr
     """As attributes (T, S), of the sides that the border leaves: a kernel estimate over the `count` landmarks' runs."""
     known = np.flatnonzero(part.known)
     anything = 4.0 / (2.0 * math.pi) / math.log(100.0) ** int(part.known[:2].sum())  # a corner of four
-    kernel = (noise + np.diag([*_LIKENESS, _heading_likeness(part.described[:, 3])]) ** 2)[np.ix_(known, known)]
+    kernel = (noise + np.diag(_bandwidth(part.described)) ** 2)[np.ix_(known, known)]
     inverse, volume = np.linalg.inv(kernel), math.sqrt(np.linalg.det(2.0 * math.pi * kernel))
     density = np.empty((len(turns), len(log_scales)))
     for (k, turn), (n, s) in itertools.product(enumerate(turns), enumerate(log_scales)):
         e = (part.described - part.features - np.array([s, s, 0.0, turn]))[:, known]
         density[k, n] = np.exp(-0.5 * np.einsum("na,ab,nb->n", e, inverse, e)).sum() / count / volume
     return np.asarray(b.look_alike_fraction * density + (1.0 - b.look_alike_fraction) * anything)
+
+
+def _bandwidth(features: Array) -> Array:
+    """Of the kernel (4,), for objects of features (n, 4): h = sigma (4 / ((d + 2) n))^(1 / (d + 4)), d = 4.
+
+    (Silverman, Density estimation, 1986, eq. 4.14 and 4.15.) A kernel as wide as the objects differ would spread what is not in
+    the map over more than the map shows; at the map's own sizes it would be too rare, and a landmark too certain.
+    """
+    n = len(features) + _LIKE_FEW
+    spread = np.sqrt((len(features) * features[:, :3].var(axis=0) + _LIKE_FEW * _LIKENESS**2) / n)
+    return np.array([*np.minimum(spread * (4.0 / (6.0 * n)) ** 0.125, _LIKENESS), _heading_likeness(features[:, 3])])
 
 
 def _heading_likeness(orientation: Array) -> float:
@@ -108,11 +121,20 @@ def intensity(arm: Array, own: Array, landmarks: Catalogue, turns: Array, log_sc
     In streets an unmapped object stands where a landmark would stand if the map were moved by a block, so its density is that of
     the landmarks at the same displacement from a landmark, not the mean density.
     """
-    unmapped = b.unmapped_fraction / (1.0 - b.unmapped_fraction)
     radius = np.maximum(1.0, 1.4 * np.sqrt(2.0 * own[:, :2, :2].trace(axis1=1, axis2=2) / 2.0))
     position = landmarks.position_n[:, :2].copy()
     moved = _displacement_density(arm[:, :2].copy(), radius, position, turns, np.exp(log_scales))
-    return np.asarray(unmapped * np.maximum(landmarks.density_per_m2, moved) + b.background_per_m2)
+    return np.maximum(_anywhere(landmarks, b), _unmapped(b) * moved + b.background_per_m2)
+
+
+def _anywhere(landmarks: Catalogue, b: Assumptions) -> float:
+    """Objects per m^2 that are not in the map, where nothing is known of the others."""
+    return _unmapped(b) * landmarks.density_per_m2 + b.background_per_m2
+
+
+def _unmapped(b: Assumptions) -> float:
+    """Objects that are not in the map, for each that is."""
+    return b.unmapped_fraction / (1.0 - b.unmapped_fraction)
 
 
 @njit(cache=True)

@@ -6,6 +6,12 @@
 them. In streets and among ambiguous landmarks f_i has summits: at one of many turns and scales there is nearly always a house
 beside which something unmapped might stand just so. The search goes by the highest of them, which no hypothesis exceeds; but a
 hypothesis has one turn and scale, and it is judged by what f_i is there.
+
+f_i is the density at region i's displacement from the other regions: given the first object of a street, the others stand a
+block apart. But the first may stand anywhere. So a hypothesis that names no landmark, and has no other position in the map, is
+divided by how far f_i is above the mean density f, the mean over which region is the first,
+
+    prod_i f_i  exp(-(1 / M) sum_i ln (f_i / f))
 """
 
 from dataclasses import dataclass
@@ -20,9 +26,13 @@ _TURN, _SCALE = 5, 6  # of x
 
 @dataclass(frozen=True, slots=True)
 class ClutterDensity:
-    """log_density (M, T, S) of M regions, at turns (T,) rad and log scales (S,), both evenly apart."""
+    """log_density (M, T, S) of M regions, at turns (T,) rad and log scales (S,), both evenly apart.
+
+    log_above_mean (T, S): of their position, above that of one that stands anywhere, mean over the regions; not below 0.
+    """
 
     log_density: Array
+    log_above_mean: Array
     turns: Array
     log_scales: Array
 
@@ -32,7 +42,8 @@ class ClutterDensity:
         return np.asarray(self.log_density.max(axis=(1, 2)))
 
     def below_highest(self, absent: NDArray[np.bool_], x: Array, covariance: Array) -> Array:
-        """Log of f_i over its highest, summed over the regions that a hypothesis says are not in the map (H,), never above 0.
+        """Log of f_i over its highest, summed over the regions that a hypothesis says are not in the map, and that of the first
+        where all are absent (H,), never above 0.
 
         absent (H, M); x (H, 7), covariance (H, 7, 7).
         """
@@ -44,4 +55,5 @@ class ClutterDensity:
         weight = np.exp(-0.5 * (squared - squared.min(axis=1, keepdims=True)))
         share = np.exp(self.log_density - self.highest[:, None, None]).reshape(len(self.log_density), len(t))
         below = np.log(weight @ share.T / weight.sum(axis=1, keepdims=True))
-        return np.asarray(np.where(absent, below, 0.0).sum(axis=1))
+        first = weight @ self.log_above_mean.ravel() / weight.sum(axis=1)
+        return np.asarray(np.where(absent, below, 0.0).sum(axis=1) - np.where(absent.all(axis=1), first, 0.0))

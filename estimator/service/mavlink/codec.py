@@ -199,11 +199,20 @@ def gps_input(e: Estimate, at: Place, time_usec: int, gps_id: int, utc_ns: int |
     )
 
 
-def alert(integrity: Integrity) -> Any:
-    """STATUSTEXT of the state and the reason for it, as far as 50 characters hold it."""
+def alert(integrity: Integrity, number: int) -> list[Any]:
+    """STATUSTEXT of the state and the reason for it; a longer one than 50 bytes in chunks, as MAVLink 2 has them.
+
+    number: from 1 to 65535, another one for each text, by which a receiver puts chunks together. A zero byte ends the last chunk.
+    """
     state = integrity.state
     words = f"landfix: {state}, {integrity.reason}" if integrity.reason else f"landfix: {state}, HPL {integrity.hpl_m:.1f} m"
-    return mavlink.MAVLink_statustext_message(_SEVERITY[state], words.encode("ascii", "replace")[:_TEXT_BYTES])
+    text = words.encode("ascii", "replace")
+    if len(text) <= _TEXT_BYTES:
+        return [mavlink.MAVLink_statustext_message(_SEVERITY[state], text)]
+    return [
+        mavlink.MAVLink_statustext_message(_SEVERITY[state], text[first : first + _TEXT_BYTES], number, first // _TEXT_BYTES)
+        for first in range(0, len(text) + 1, _TEXT_BYTES)
+    ]
 
 
 def is_date(utc_ns: int) -> bool:

@@ -87,6 +87,7 @@ class MavlinkLink:
         self._map_origin: tuple[float, float, float] | None = None
         self._quality: int | None = None  # of the last odometry
         self._alerted: Alert | None = None  # as the last STATUSTEXT said
+        self._alerts = 0  # how many there were, counted anew after 65535
         self._unix_ahead_ns: int | None = None  # of our clock, as SYSTEM_TIME says
         self._autopilot = _AUTOPILOTS.get(config.autopilot)
         self._peer: Any = None
@@ -182,9 +183,12 @@ class MavlinkLink:
         return codec.odometry(estimate, pose, time_usec, counter, quality, autopilot)
 
     def _tell_alert(self) -> None:
-        """A change of the state of integrity, as STATUSTEXT."""
+        """A change of the state of integrity, as STATUSTEXT; again with the next estimate where a part of it did not go out."""
         now = self._policy.integrity
-        if now is not None and now.state is not self._alerted and self._tell(codec.alert(now)):
+        if now is None or now.state is self._alerted:
+            return
+        self._alerts = self._alerts % 0xFFFF + 1
+        if all(self._tell(part) for part in codec.alert(now, self._alerts)):
             self._alerted = now.state
 
     def _announce(self, estimate: Estimate, quality: int, *, knows_frame: bool) -> None:
@@ -192,8 +196,8 @@ class MavlinkLink:
         radius_m = float(horizontal_radius(estimate.covariance[None, :2, :2])[0])
         if quality >= 0:
             line = "odometry may be used"
-        elif (now := self._policy.integrity) is not None and self._policy.is_alarmed:
-            line = f"odometry is not to be used: {now.reason}"
+        elif self._policy.is_alarmed:  # the reason, with its numbers, has a line of its own
+            line = "odometry is not to be used: so says integrity"
         elif not knows_frame and self._local.place is not None and self._map_origin is not None:
             return  # it has come meanwhile: the next message is in its frame
         elif not knows_frame:

@@ -2,8 +2,10 @@ import re
 from pathlib import Path
 from xml.etree import ElementTree
 
+import msgspec
 import numpy as np
 
+from logs.report.integrity import _held
 from logs.report.stanford import stanford
 from logs.report.write import Written, write
 from logs.wire.codec import encode
@@ -62,3 +64,26 @@ def test_a_report_has_levels_states_and_both_plots(tmp_path: Path) -> None:
     assert "the map <shifted>" not in page
     assert write(tmp_path / "plain.mcap", tmp_path / "plain.html") is not None
     assert 'id="integrity"' not in (tmp_path / "plain.html").read_text()
+
+
+def test_without_limits_the_report_says_so_and_draws_the_rarer_levels(tmp_path: Path) -> None:
+    """A level in two seconds is rarer than the spans of a plot: each holds until the next one, or nothing would be drawn."""
+    flight_log.write(tmp_path / "plain.mcap", Flight(duration_s=60.0, outages=()))
+    stamps = range(EPOCH_NS, EPOCH_NS + 59_000_000_000, 2_000_000_000)
+    levels = [msgspec.structs.replace(_integrity(t_ns, 3.0), state=Alert.NOT_JUDGED, hal_m=np.inf) for t_ns in stamps]
+    log = rewritten(tmp_path / "plain.mcap", tmp_path / "log.mcap", extra=tuple((*encode(i)[0], i.t_ns) for i in levels))
+    done = write(log, tmp_path / "report.html")
+    assert isinstance(done, Written)
+    page = (tmp_path / "report.html").read_text()
+    assert "no alert limits configured, so nothing is judged" in page
+    assert "unavailable" not in page
+    stamps_ns, held = _held(np.array([i.t_ns for i in levels], np.int64), np.full((len(levels), 1), 3.0))
+    assert np.diff(np.sort(stamps_ns)).max() < 59e9 / 1600
+    assert (held == 3.0).all()
+
+
+def test_a_pause_of_the_levels_stays_one() -> None:
+    t_ns = np.array([0, 1, 2, 3, 20, 21], np.int64) * 1_000_000_000
+    stamps_ns, _ = _held(t_ns, np.ones((6, 1)))
+    assert not ((stamps_ns > 6_100_000_000) & (stamps_ns < 20_000_000_000)).any()
+    assert ((stamps_ns > 3_000_000_000) & (stamps_ns < 6_000_000_000)).any()

@@ -13,7 +13,19 @@ from estimator.service.mavlink.inputs import Inputs
 from logs.wire.codec import Topics
 from models import so3
 from models.frames import GRAVITY
-from models.messages import Array, AttitudePrior, Estimate, GnssFix, GnssVelocity, ImuSample, Mode, Reading, vec3
+from models.messages import (
+    Alert,
+    Array,
+    AttitudePrior,
+    Estimate,
+    GnssFix,
+    GnssVelocity,
+    ImuSample,
+    Integrity,
+    Mode,
+    Reading,
+    vec3,
+)
 from models.state import E, X
 
 T0 = 1_795_000_000_000_000_000
@@ -329,3 +341,19 @@ def test_the_second_receiver_is_read_like_the_first() -> None:
     fix = codec.gnss_fix(_over_the_wire(message), T0, 0.0, "/gnss2")
     assert (fix.alt_m, fix.topic) == (1.0, "/gnss2")
     np.testing.assert_allclose(_covariance(fix), np.diag([1.0, 1.0, 4.0]))
+
+
+@pytest.mark.parametrize(("length", "chunks"), [(26, 1), (50, 1), (51, 2), (100, 3), (128, 3)])
+def test_the_text_of_an_alert_comes_whole_through_chunks(length: int, chunks: int) -> None:
+    """From the bytes, as a ground station puts it together: by the number, in their order, until a zero byte."""
+    head = "landfix: do not use, "
+    reason = ("HPL 31.4 m, limit 10 m: " + "x" * length)[: length - len(head)]
+    integrity = Integrity(1, 1, Alert.DO_NOT_USE, reason, 1e-5, 31.4, 3.0, 10.0, 10.0, (), (), (), 0.1, 0.1)
+    sender, receiver = mavlink.MAVLink(None, 1, 197), mavlink.MAVLink(None)
+    sent = b"".join(message.pack(sender) for message in codec.alert(integrity, 7))
+    got = receiver.parse_buffer(sent)
+    assert [(m.id, m.chunk_seq) for m in got] == [(7 if chunks > 1 else 0, k) for k in range(chunks)]
+    assert "".join(m.text for m in got) == head + reason
+    assert all(len(m.text) == 50 for m in got[:-1])
+    assert len(got[-1].text) < 50 or chunks == 1  # a zero byte ends it
+    assert all(m.severity == mavlink.MAV_SEVERITY_CRITICAL for m in got)

@@ -266,15 +266,19 @@ def test_a_change_of_integrity_is_said_once_and_ends_the_use_of_the_odometry() -
     with _px4() as (link, _, clock, autopilot):
         for k, state in enumerate([Alert.USABLE, Alert.DO_NOT_USE, Alert.DO_NOT_USE, Alert.USABLE]):
             t_ns = clock.now_ns() + k * SECOND
-            reason = "HPL 31.4 m, limit 10 m: /pose_fix wrong for long" if state is Alert.DO_NOT_USE else ""
+            reason = f"HPL {30 + k}.4 m, limit 10 m: /pose_fix wrong for long" if state is Alert.DO_NOT_USE else ""
             integrity = Integrity(t_ns, t_ns, state, reason, 1e-5, 3.0, 3.0, 10.0, 10.0, (), (), (), 0.1, 0.1)
             link.send([_estimate(t_ns), _fused(t_ns), integrity], ())
         autopilot.until(lambda: len(autopilot.of("ODOMETRY")) == 4, "four estimates")
-        texts = [(m.severity, m.text) for m in autopilot.of("STATUSTEXT")]
-        assert [severity for severity, _ in texts] == [6, 2, 6]
-        assert texts[1][1] == "landfix: do not use, HPL 31.4 m, limit 10 m: /pose"
+        parts = [(m.severity, m.id, m.chunk_seq, m.text) for m in autopilot.of("STATUSTEXT")]
+        assert [severity for severity, *_ in parts] == [6, 2, 2, 6]
+        assert parts[1] == (2, 2, 0, "landfix: do not use, HPL 31.4 m, limit 10 m: /pose")
+        assert parts[2] == (2, 2, 1, "_fix wrong for long")
+        assert [number for _, number, *_ in parts] == [0, 2, 2, 0]
         assert [m.quality for m in autopilot.of("ODOMETRY")] == [84, -1, -1, 84]
-        assert said[-1] == "px4: odometry may be used"
+        assert said == [
+            f"px4: odometry {line}" for line in ("may be used", "is not to be used: so says integrity", "may be used")
+        ]  # not once more for another number
 
 
 def test_after_a_reboot_of_ardupilot_its_old_origin_is_not_used() -> None:
