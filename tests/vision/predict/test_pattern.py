@@ -68,10 +68,12 @@ def asked(
     yaw_off: float = 0.0,
     *,
     alone: bool = True,
+    off_m: NDArray[np.float64] | None = None,
 ) -> tuple[Result, Prior]:
     """What is made of a result: a map of boxes over an image of those that stand there; yaw_off: of the prior, rad."""
     covariance = np.diag([sigma_m**2, sigma_m**2, 1.0, 1e-7, 1e-7, yaw_rad**2])
-    prior = Prior(TRUTH + OFF * sigma_m / 12.0, so3.from_euler(0.0, 0.0, yaw_off), covariance)
+    off_m = OFF * sigma_m / 12.0 if off_m is None else off_m
+    prior = Prior(TRUTH + off_m, so3.from_euler(0.0, 0.0, yaw_off), covariance)
     marks = [mark(str(k), box) for k, box in enumerate(boxes)]
     move = motion(eyes(RIG)[0], marks, prior)
     assert move is not None
@@ -180,6 +182,14 @@ def test_with_an_open_heading_a_fit_of_small_roofs_must_be_the_one_position() ->
     elsewhere = asked(three, three, yaw_rad=yaw, result=fitted_at(TRUTH + np.array([12.0, 0.0, 0.0])))[0]
     assert elsewhere.report.outcome == "no_pose"
     assert "px from the fit" in elsewhere.report.detail
+
+
+@pytest.mark.parametrize(("sigmas", "found"), [(4.0, True), (4.8, False)])
+def test_two_directions_are_judged_as_two(sigmas: float, found: bool) -> None:
+    """99.99 % of a prior lie within 4.3 sigma of two directions; of six, which are not measured here, within 5.3."""
+    result, _ = asked(VILLAGE, VILLAGE, sigma_m=19.0 / sigmas, off_m=np.array([19.0, 0.0, 0.0]))
+    assert (result.fix is not None) is found
+    assert found or "the prior excludes it" in result.report.detail
 
 
 def test_one_outline_of_a_map_that_a_program_picked_is_no_fix() -> None:
