@@ -114,7 +114,8 @@ class LandmarkPipeline:
         if doubtful:
             located = refused(located, "ambiguous", "it may show the neighbouring landmark, which looks alike")
         all_together = self._predict.moves(images, near, prior, self._config.predict.most_together) or moves
-        result = judged(located, self._rig, images, *all_together, self._config.predict.coarse)
+        coarse, alone = self._config.predict.coarse, not self._map.automatic
+        result = judged(located, self._rig, images, *all_together, coarse, alone=alone)
         if result.fix is not None:
             self._segment.clear()
         settled = result.fix is not None or result.report.outcome == "waiting"  # a likely one is not overruled, but confirmed

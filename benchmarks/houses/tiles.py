@@ -107,13 +107,17 @@ def footprints(mask: Image, step_m: float) -> tuple[Landmark, ...]:
     return tuple(found)
 
 
-def elsewhere(tile: Tile, kind: str, others: list[Tile], rng: np.random.Generator) -> tuple[Landmark, ...]:
-    """The footprints of a decoy: turned, mirrored, moved by 60 to 100 m, or of another town; none of them is in the image."""
+def elsewhere(tile: Tile, kind: str, others: list[Tile], rng: np.random.Generator, open_m: float) -> tuple[Landmark, ...]:
+    """The footprints of a decoy: turned, mirrored, moved, or of another town; none of them is where the prior allows it.
+
+    open_m: what the prior leaves open on the ground (1 sigma of an axis). A map that is moved by less than several times as
+    much is found where it is, and rightly so: 99.99 % of a prior are within 4.3.
+    """
     if kind == "another town":
         other = others[int(rng.integers(len(others)))]
         return _changed(other.marks, np.eye(2) * tile.step_m / other.step_m, np.zeros(2))
     if kind == "moved":
-        bearing, away_m = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(60.0, 100.0)
+        bearing, away_m = rng.uniform(0.0, 2.0 * math.pi), open_m * rng.uniform(8.0, 12.0)
         return _changed(tile.marks, np.eye(2), away_m * np.array([math.cos(bearing), math.sin(bearing)]))
     if kind == "mirrored":
         return _changed(tile.marks, np.diag([1.0, -1.0]), np.zeros(2))

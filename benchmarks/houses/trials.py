@@ -60,7 +60,8 @@ def answer(job: Job) -> Answer:
     every = every_tile()
     tile = next(t for t in every if (t.group, t.name) == (group, name))
     rng = np.random.default_rng([k, zlib.crc32(f"{group} {name} {size}".encode())])
-    marks = tile.marks if kind == "true" else elsewhere(tile, kind, [t for t in every if t.group != group], rng)
+    open_m = math.hypot(0.5 * SPREAD.radius_m, SPREAD.level_sigma_rad * FOCAL_PX * tile.step_m)  # the tilt moves the ground too
+    marks = tile.marks if kind == "true" else elsewhere(tile, kind, [t for t in every if t.group != group], rng, open_m)
     marks = _some(tile, marks, size, rng)
     rig = nadir_rig(tile.camera)
     case = Case(group, name, tile.image, rig, tile.landmarks(marks), tile.p_n, np.eye(3), (), lambda *_: math.nan)

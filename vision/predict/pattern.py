@@ -29,6 +29,7 @@ from vision.predict.coarse_search import CoarseConfig, limit_px
 from vision.predict.edge_points import chromas, edge_points
 from vision.predict.joint_score import Summit, joint_score, summit
 from vision.predict.motion import Motion
+from vision.predict.verify import ONE_ALONE
 from vision.records.images import Images
 from vision.records.reports import Result, fix_of, pose_flaw
 
@@ -36,7 +37,7 @@ NAME = "(outlines)"  # all of them count as one landmark, as wrong on the map as
 _ROOF_PX = 32.0  # wider roofs are fitted edge by edge
 _WIDEST_PX, _NARROWEST_PX = 48.0, 8.0  # of the roofs in the reduced image that is searched
 _SEVERAL = 3  # outlines, where turn and scale are searched too; there a fit to more than
-_HALF = 0.5  # of those in view needs no pattern beside it
+_HALF = 0.5  # of those in view, if they are as wide, needs no pattern beside it
 _MOST = 300_000  # positions, turns and scales that are tried
 _STIFF_PX = 3.0  # what turn and scale may move the outlines' ends: as much as an edge is wide
 _APART_PX = 8.0  # nearer positions are one, as for the window of a fit
@@ -51,12 +52,20 @@ _ALONE = PointConfig(least=1, freedom=1e9, expected=1.0)  # one point has no res
 
 
 def judged(
-    result: Result, rig: StereoRig, images: Images, marks: Sequence[Landmark], move: Motion, config: CoarseConfig
+    result: Result,
+    rig: StereoRig,
+    images: Images,
+    marks: Sequence[Landmark],
+    move: Motion,
+    config: CoarseConfig,
+    *,
+    alone: bool = True,
 ) -> Result:
-    """What predict and verify says, beside the pattern of all outlines."""
+    """What predict and verify says, beside the pattern of all outlines; alone: whether one landmark alone may be a fix."""
     eye = eyes(rig)[int(images.only_right)]
     narrow = _only_shifts(move, config) and config.sigmas * move.shift_px <= limit_px(eye.camera, config)
-    trusted = result.fix is not None and len(result.fix.landmarks) > _HALF * len(result.regions)
+    many = result.fix is not None and len(result.fix.landmarks) > _HALF * len(result.regions)
+    trusted = many and move.roof_px >= _ROOF_PX  # sides of a dozen pixels lie on edges of something else in any dense quarter
     pair = images.left is not None and images.right is not None  # it has more to say: an exchange, disparities
     if not narrow and (trusted or pair or len(marks) < _SEVERAL):
         return result
@@ -65,7 +74,7 @@ def judged(
         return result
     if result.pose is None:
         sure = best.ratio >= (SURE if narrow else SURE_TURNED)
-        return _as_fix(result, one_eyed(rig, right=images.only_right), marks, move, best) if sure else result
+        return _as_fix(result, one_eyed(rig, right=images.only_right), marks, move, best, alone=alone) if sure else result
     error = difference(result.pose.joint_p_n, result.pose.joint_R_nb, move.prior.p_n, move.prior.q_nb_wxyz)
     off_px = float(np.linalg.norm(move.J[:2] @ error - best.q[:2]))
     if off_px > _APART_PX * best.step_px:
@@ -128,11 +137,14 @@ def _grid(move: Motion, config: CoarseConfig) -> tuple[int, Array, Array, Array]
             return None
 
 
-def _as_fix(result: Result, rig: StereoRig, marks: Sequence[Landmark], move: Motion, best: Summit) -> Result:
+def _as_fix(result: Result, rig: StereoRig, marks: Sequence[Landmark], move: Motion, best: Summit, *, alone: bool) -> Result:
     """The summit as a fix: the middle of the outlines in view lies where it was seen. rig: whose left camera saw it."""
     p_nc, R_nc = rig.camera_pose(*move.pose(move.gain @ best.q))
-    roofs = Prisms.of(marks).roofs
+    bodies = Prisms.of(marks)
+    roofs = bodies.roofs
     inside = rig.left.contains(rig.left.project((roofs - p_nc) @ R_nc))
+    if not alone and np.logical_or.reduceat(inside, bodies.offsets[:-1]).sum() <= 1:
+        return refused(result, "ambiguous", ONE_ALONE)
     middle = roofs[inside if inside.any() else ...].mean(axis=0, keepdims=True)
     noise_px = _POSITION * best.step_px
     point = Points(middle, rig.left.project((middle - p_nc) @ R_nc), np.eye(2)[None] * noise_px**2)

@@ -206,7 +206,7 @@ class PredictPath:
         if found.grade == "refused":
             return _Refused("no_pose", found.reason)
         if not self._alone and len(fitted.used) == 1:
-            return _Refused("ambiguous", "one landmark alone, of a map that was picked automatically")
+            return _Refused("ambiguous", verify.ONE_ALONE)
         if not weak and not self._waiting.holds(t_ns, fitted.odds):
             return found
         roofs_n = np.array([[*marks[k].centre_n, marks[k].roof_d] for k in fitted.used])

@@ -27,6 +27,7 @@ from vision.predict.coarse_search import Candidate
 _ONE_FIT_PX = 2.0  # to which roofs come to lie together (the median): one fit, reached from two positions
 _FOUND_RIGHT, _FOUND_CHANCE, _PIECES, _ALIKE = 0.75, 0.45, 12.0, 3.0  # of fits of rendered outlines, right and wrong ones
 _COVERED = 16.0  # 5 ln (0.99 / 0.8 * 0.2 / 0.01): of five pieces of outline 1 % is covered at right positions, 20 % at others
+ONE_ALONE = "one landmark alone, of a map that was picked automatically"
 Grade = Literal["sure", "weak", "refused"]
 
 

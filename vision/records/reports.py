@@ -12,7 +12,7 @@ from models.messages import Array, LandmarkFix, Quat, VisionReport, vec3
 from vision.identify.identify import Prior
 from vision.pose.pose import PoseEstimate, difference
 
-INSIDE_9999: Final = 27.856  # chi-square of 6, 99.99 %
+INSIDE_9999: Final = (15.137, 18.421, 21.108, 23.513, 25.745, 27.856)  # chi-square of 1 to 6, 99.99 %
 
 
 class RegionReport(msgspec.Struct, frozen=True):
@@ -92,12 +92,14 @@ def pose_flaw(pose: PoseEstimate, prior: Prior) -> str:
         return "the fit's covariance is not positive definite"
     if pose.directions is None or pose.readings is None:
         distance = squared_distance(pose.p_n, pose.R_nb, prior.p_n, prior.q_nb_wxyz, prior.covariance + total)
+        limit = INSIDE_9999[5]
     else:
         D = pose.directions
         nu = D @ difference(pose.p_n, pose.R_nb, prior.p_n, prior.q_nb_wxyz) + pose.readings
         distance = float(nu @ np.linalg.solve(D @ (prior.covariance + total) @ D.T, nu))
-    if distance > INSIDE_9999:
-        return f"the prior excludes it: squared distance {distance:.0f}, 99.99 % are below {INSIDE_9999:.0f}"
+        limit = INSIDE_9999[len(nu) - 1]
+    if distance > limit:
+        return f"the prior excludes it: squared distance {distance:.0f}, 99.99 % are below {limit:.0f}"
     return ""
 
 

@@ -106,6 +106,7 @@ def test_landmarks_are_picked_from_an_image(tmp_path: Path) -> None:
     assert len(picked) == len(PATCHES)
     assert picked.automatic
     assert not expected.automatic
+    assert build(out, path).automatic, "built anew it is still one that a program picked"
     for there in expected:
         (found,) = picked.near(*there.centre_n, 1.0)
         assert found.centre_n == pytest.approx(there.centre_n, abs=0.1)
