@@ -218,10 +218,13 @@ def features(data: bytes) -> tuple[File, list[msgspec.Raw]]:
 def _other_form(data: bytes) -> str:
     """The name of another form of map file and what converts it; empty where it is none that is known."""
     head = data[:4096]
+    xml = head.lstrip().startswith(b"<")
     for name, seen in (
         ("a GeoPackage", head.startswith(b"SQLite format 3\0")),
         ("a Shapefile", head.startswith(b"\x00\x00\x27\x0a")),
-        ("KML", b"<kml" in head),
+        ("KML", xml and b"<kml" in head),
+        ("GML", xml and b"opengis.net/gml" in head),
+        ("OpenStreetMap XML", xml and b"<osm" in head),
         ("a KMZ or another ZIP file, to be unpacked first", head.startswith(b"PK\x03\x04")),
     ):
         if seen:
@@ -253,5 +256,6 @@ def _why(raw: msgspec.Raw, error: str) -> str:
     except (*_UNDECODABLE, KeyError, TypeError):
         kind = None
     if isinstance(kind, str) and kind not in ("Polygon", "MultiPolygon"):
-        return f"its geometry is a {kind}, not a Polygon"
+        remedy = ": draw its area, up to where it ends on the ground" if "LineString" in kind else ""
+        return f"its geometry is a {kind}, not a Polygon{remedy}"
     return error.replace("`", "'")

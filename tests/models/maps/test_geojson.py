@@ -152,7 +152,7 @@ A_LINE = [[8.0, 47.0], [8.0001, 47.0], [8.0002, 47.0], [8.0, 47.0]]
         (feature([[[lon + 90.0, lat] for lon, lat in ring()]]), "km or more from the map's origin"),
         (feature([ring(length=2500.0)]), "longer than 2000 m"),
         (feature([8.0, 47.0], kind="Point"), "a Point, not a Polygon"),
-        (feature([ring()], kind="LineString"), "a LineString, not a Polygon"),
+        (feature(ring()[:2], kind="LineString", highway="path"), "a LineString, not a Polygon: draw its area"),
         ({"type": "Feature", "geometry": None, "properties": None}, "no geometry"),
         ({"type": "Feature", "geometry": 7}, "got 'int'"),
         (17, "got 'int'"),
@@ -165,6 +165,26 @@ def test_a_bad_feature_gets_its_reason_and_the_others_go_on(bad: Any, reason: st
     (finding,) = the_map.report.rejected
     assert finding.feature == 2
     assert any(part in finding.text for part in reason.split("|")), finding.text
+
+
+@pytest.mark.parametrize(
+    ("properties", "height", "outline_sigma"),
+    [
+        ({"leisure": "swimming_pool"}, 0.0, 0.3),
+        ({"leisure": "pitch", "sport": "tennis"}, 0.0, 0.3),
+        ({"amenity": "parking_space"}, 0.0, 0.3),
+        ({"leisure": "swimming_pool", "building": "yes"}, 6.0, 0.3),
+        ({"leisure": "swimming_pool", "height_m": 1.0, "outline_sigma_m": 0.1}, 1.0, 0.1),
+        ({"highway": "pedestrian"}, 0.0, 0.3),
+        ({"amenity": "parking", "parking": "multi-storey"}, 6.0, 0.3),
+        ({"leisure": ["pitch"]}, 6.0, 0.3),
+        ({}, 6.0, 0.3),
+    ],
+)
+def test_pools_courts_and_bays_lie_on_the_ground(properties: dict[str, Any], height: float, outline_sigma: float) -> None:
+    (found,) = read(feature(**properties))
+    assert (found.height_m, found.outline_sigma_m) == (height, outline_sigma)
+    assert found.height_sigma_m > 0.0
 
 
 def test_too_many_corners() -> None:
@@ -181,6 +201,8 @@ def test_too_many_corners() -> None:
         (b"SQLite format 3\0\x10", "GeoPackage: convert it with ogr2ogr"),
         (b"\x00\x00\x27\x0a" + bytes(96), "Shapefile: convert it with ogr2ogr"),
         (b'<?xml version="1.0"?><kml xmlns="http://www.opengis.net/kml/2.2"/>', "KML: convert it with ogr2ogr"),
+        (b'<?xml version="1.0"?><osm version="0.6"/>', "OpenStreetMap XML: convert it with ogr2ogr"),
+        (b'<a xmlns:gml="http://www.opengis.net/gml"/>', "GML: convert it with ogr2ogr"),
         (b"PK\x03\x04" + bytes(96), "ZIP file, to be unpacked first"),
         (b'{"version": 0.6, "elements": []}', "Overpass JSON: export as GeoJSON"),
         (b'{"version": 0.6, "osm3s": {"copyright": "ODbL"}, "elements": []}', "landfix map get"),
