@@ -1,4 +1,4 @@
-"""Outlines on real aerial images: `python -m benchmarks.aerial [brighton] [nust] [spacenet]`.
+"""Outlines on real aerial images: `python -m benchmarks.aerial [brighton] [nust] [roads] [spacenet]`.
 
 Predict and verify with plain segmentation, one camera, every trial with a pipeline of its own. A trial is one image; where
 the pipeline waits for the next one to agree, Brighton has it; *at once* counts the first image alone. All thresholds are the
@@ -28,7 +28,7 @@ from vision.pipeline import Result
 from vision.show.overlay import draw_overlay, outline_residuals
 
 OUT = Path(__file__).resolve().parents[2] / "out" / "aerial"
-SETS = ("brighton", "nust", "spacenet")
+SETS = ("brighton", "nust", "roads", "spacenet")
 
 
 def main() -> None:
@@ -78,6 +78,8 @@ def trials(name: str, data: Path, args: argparse.Namespace) -> Iterator[Trial]:
         return brighton.trials(data, args.seed, args.priors, args.width, spread, hover=args.hover)
     if name == "nust":
         return nust.trials(data, args.seed, args.priors)
+    if name == "roads":
+        return nust.road_trials(data, args.seed, args.priors)
     return spacenet.trials(data, args.seed, args.priors)
 
 

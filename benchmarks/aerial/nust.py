@@ -1,4 +1,4 @@
-"""NUST campus: a nadir video over two helipads, digitised from the orthophoto.
+"""NUST campus: a nadir video over two helipads, and over roads, digitised from the orthophoto.
 
 The reference is a registration of every fifth frame to the orthophoto (SIFT, a homography a frame; about 0.5 m). Neither camera
 nor height is known, only their ratio: a frame shows 223 m. The ratio of focal length to width is taken as 0.77, that of common
@@ -9,6 +9,7 @@ position on the ground that the frame's middle shows.
 import csv
 import math
 from collections.abc import Collection, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -17,7 +18,7 @@ import numpy as np
 from benchmarks.aerial.reference import plane_pose, utm_to_ned
 from benchmarks.aerial.trials import Case, Judge, Spread, Trial, generator, nadir_rig, outline_share
 from models.camera import CameraModel
-from models.maps.landmarks import LandmarkMap
+from models.maps.landmarks import Landmark, LandmarkMap
 from models.messages import Array
 from vision.image.rectify import Image
 
@@ -25,6 +26,9 @@ FOLDER = "images/nust_uav_video_orthophoto"
 MAP_FILE = Path(__file__).parents[1] / "data" / "nust_helipads.geojson"
 EPSG = 32643
 SPREAD = Spread(7.0, 3.0, math.radians(1.0), math.radians(3.0))
+ROADS_FILE = Path(__file__).parents[1] / "data" / "nust_roads.geojson"
+ROADS, MIRRORED = "NUST, roads", "NUST, roads mirrored"
+_EVERY = 6  # registered frames
 BOTH, ONE = "NUST, both helipads", "NUST, one helipad"
 PADS = ("pad west", "pad east")
 _ORTHO_CORNER, _ORTHO_STEP_M = (313101.47628, 3724912.30675), 0.5
@@ -48,6 +52,29 @@ def trials(data: Path, seed: int, priors: int) -> Iterator[Trial]:
         one = case(number, image, known[number], landmarks)
         for k in range(priors):
             yield Trial(one, k, SPREAD.draw(generator(seed, one.name, k), one.p_n, one.R_nb))
+
+
+def road_trials(data: Path, seed: int, priors: int) -> Iterator[Trial]:
+    """Every sixth registered frame with roads, and with roads that are not there: mirrored about its middle."""
+    roads, known = LandmarkMap.from_geojson(ROADS_FILE.read_bytes()), registrations(data)
+    for number, image in frames(data, sorted(known)[::_EVERY]):
+        right = case(number, image, known[number], roads)
+        decoy = replace(right, group=MIRRORED, landmarks=_mirrored(roads, right.p_n[:2]))
+        for one in (replace(right, group=ROADS), decoy):
+            for k in range(priors):
+                yield Trial(one, k, SPREAD.draw(generator(seed, f"{one.group} {one.name}", k), one.p_n, one.R_nb))
+
+
+def _mirrored(landmarks: LandmarkMap, about: Array) -> LandmarkMap:
+    """East and west exchanged."""
+    turned = [
+        Landmark.of(
+            m.id, (m.outline_n - about) * np.array([1.0, -1.0]) + about, m.base_d, m.height_m, m.colour_bgr, m.sigma_m,
+            m.height_sigma_m, m.outline_sigma_m, corner_sigma_m=m.corner_sigma_m,
+        )
+        for m in landmarks
+    ]  # fmt: skip
+    return LandmarkMap.from_landmarks(landmarks.origin, turned)
 
 
 def landmark_map() -> LandmarkMap:
@@ -91,7 +118,8 @@ def pose(homography: Array, landmarks: LandmarkMap) -> tuple[Array, Array]:
 def pads(homography: Array, landmarks: LandmarkMap) -> tuple[str, ...]:
     """Helipads wholly in the frame."""
     where = pose(homography, landmarks)
-    return tuple(name for name in PADS if outline_share(camera(), *where, landmarks[name]) == 1.0)
+    there = {mark.id: mark for mark in landmarks if mark.id in PADS}
+    return tuple(name for name in PADS if name in there and outline_share(camera(), *where, there[name]) == 1.0)
 
 
 def case(number: int, image: Image, homography: Array, landmarks: LandmarkMap) -> Case:

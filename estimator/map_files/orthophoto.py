@@ -70,8 +70,13 @@ def georeference(path: Path, epsg: int = 0) -> tuple[Array, int]:
         )
     epsg = epsg or _epsg(tags)
     if projection.to_lonlat(epsg, np.zeros((1, 2))) is None:
-        known = "--picture-epsg, picture_epsg: 4326, 326xx, 327xx or 3857"
-        raise MapError(f"{path}: its coordinate system is not known: give it ({known}) or convert it with gdalwarp")
+        code = f"EPSG:{epsg} is not known here" if epsg else "is not in its tags"
+        option = "--picture-epsg, or picture_epsg of the configuration"
+        if 25828 <= epsg <= 25838:  # ETRS89 / UTM drifts off WGS 84 by 2.5 cm a year
+            remedy = f"it is WGS 84's of zone {epsg - 25800} within a metre: give {epsg - 25800 + 32600} ({option})"
+        else:
+            remedy = f"give 4326, 326xx, 327xx or 3857 ({option}), or convert it: gdalwarp -t_srs EPSG:4326 {path.name} OUT.tif"
+        raise MapError(f"{path}: coordinate system {code}: {remedy}")
     return affine, epsg
 
 

@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 from models.maps import colours
 from models.maps import properties as map_properties
 from models.maps.properties import UNKNOWN, Attributes, Properties
+from models.maps.strips import strips
 from models.maps.table import Defaults, Finding, MapError, Weights
 from models.messages import Vec3
 
 DEFAULTED = ("height_m", "sigma_m", "ground_alt_m", "colour")  # properties that have a default
 FEW = "fewer than 3 corners"
+_NO_LINE = "a line of longitude and latitude in degrees is needed: ogr2ogr -t_srs EPSG:4326 map.geojson FILE"
 
 _UNUSED_HEIGHT = "the third coordinate ({:g}) is not used: give ground_alt_m (above the ellipsoid) and height_m (above it)"
 _Height = Annotated[float, msgspec.Meta(ge=0, le=1e3)]
@@ -71,8 +73,16 @@ class _MultiPolygon(msgspec.Struct, tag_field="type", tag="MultiPolygon"):
     coordinates: list[list[list[list[float]]]]
 
 
+class _LineString(msgspec.Struct, tag_field="type", tag="LineString"):
+    coordinates: list[list[float]]
+
+
+class _MultiLineString(msgspec.Struct, tag_field="type", tag="MultiLineString"):
+    coordinates: list[list[list[float]]]
+
+
 class _Feature(msgspec.Struct):
-    geometry: _Polygon | _MultiPolygon | None = None
+    geometry: _Polygon | _MultiPolygon | _LineString | _MultiLineString | None = None
     properties: Properties | None = None
     id: str | float | None = None
 
@@ -144,8 +154,19 @@ class Parts:
         if feature.geometry is None:
             self.rejected.append(Finding(number, name, "it has no geometry"))
             return
-        polygons = [feature.geometry.coordinates] if isinstance(feature.geometry, _Polygon) else feature.geometry.coordinates
-        attributes = map_properties.read(properties, self.defaults)
+        shape, side_sigma_m = feature.geometry, None
+        if isinstance(shape, _LineString | _MultiLineString):
+            width = map_properties.line_width_m(properties)
+            if isinstance(width, str) or not _in_degrees(shape):
+                self.rejected.append(Finding(number, name, width if isinstance(width, str) else _NO_LINE))
+                return
+            polygons, side_sigma_m = _strips(shape, width[0]), width[1]
+            if not polygons:
+                self.rejected.append(Finding(number, name, "it has no length"))
+                return
+        else:
+            polygons = [shape.coordinates] if isinstance(shape, _Polygon) else shape.coordinates
+        attributes = map_properties.read(properties, self.defaults, side_sigma_m)
         self.remarks += [Finding(number, name, text) for text in attributes.remarks]
         positions = chain.from_iterable(chain.from_iterable(polygons))
         heights = [position[2] for position in positions if len(position) > 2 and position[2] != 0.0]
@@ -190,6 +211,20 @@ class Parts:
             self.rejected.append(Finding(self.features[i], self.ids[i], text if isinstance(text, str) else text[k]))
 
 
+def _lines(shape: _LineString | _MultiLineString) -> list[list[list[float]]]:
+    return [shape.coordinates] if isinstance(shape, _LineString) else shape.coordinates
+
+
+def _in_degrees(shape: _LineString | _MultiLineString) -> bool:
+    """Whether strips can be made of a line."""
+    return all(len(position) >= 2 and max(map(abs, position[:2])) <= 180.0 for line in _lines(shape) for position in line)
+
+
+def _strips(shape: _LineString | _MultiLineString, width_m: float) -> list[list[list[list[float]]]]:
+    """A line's pieces as polygons, each an outer ring."""
+    return [[ring] for line in _lines(shape) for ring in strips(line, width_m)]
+
+
 def head_of(data: bytes) -> File:
     """A file's head; an empty one where the bytes are none."""
     try:
@@ -218,10 +253,13 @@ def features(data: bytes) -> tuple[File, list[msgspec.Raw]]:
 def _other_form(data: bytes) -> str:
     """The name of another form of map file and what converts it; empty where it is none that is known."""
     head = data[:4096]
+    xml = head.lstrip().startswith(b"<")
     for name, seen in (
         ("a GeoPackage", head.startswith(b"SQLite format 3\0")),
         ("a Shapefile", head.startswith(b"\x00\x00\x27\x0a")),
-        ("KML", b"<kml" in head),
+        ("KML", xml and b"<kml" in head),
+        ("GML", xml and b"opengis.net/gml" in head),
+        ("OpenStreetMap XML", xml and b"<osm" in head),
         ("a KMZ or another ZIP file, to be unpacked first", head.startswith(b"PK\x03\x04")),
     ):
         if seen:
@@ -252,6 +290,6 @@ def _why(raw: msgspec.Raw, error: str) -> str:
         kind = msgspec.json.decode(raw)["geometry"]["type"]
     except (*_UNDECODABLE, KeyError, TypeError):
         kind = None
-    if isinstance(kind, str) and kind not in ("Polygon", "MultiPolygon"):
+    if isinstance(kind, str) and kind not in ("Polygon", "MultiPolygon", "LineString", "MultiLineString"):
         return f"its geometry is a {kind}, not a Polygon"
     return error.replace("`", "'")

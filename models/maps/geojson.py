@@ -132,7 +132,7 @@ def _lonlat(crs: Any, xy: Array) -> Array:
     epsg = re.search(r"EPSG:+(\d+)$", name)
     lonlat = projection.to_lonlat(int(epsg[1]), xy) if epsg else None
     if lonlat is None:
-        raise MapError(f"coordinate system {name!r} is not known here: convert the file to WGS 84 (EPSG:4326) first")
+        raise MapError(f"coordinate system {name!r} is not known here: convert it with ogr2ogr -t_srs EPSG:4326 map.geojson FILE")
     return lonlat
 
 

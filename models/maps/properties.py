@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from models.maps import colours
+from models.maps import colours, on_ground
 from models.maps.table import WEIGHTS, Defaults, Weights
 
 LEVEL_M = 3.0  # height of one storey
@@ -56,6 +56,23 @@ class Properties(
     roof_color_plain: Any = None
     building_colour: Any = None
     building_color: Any = None
+    building: Any = None
+    leisure: Any = None
+    amenity: Any = None
+    parking: Any = None
+    natural: Any = None
+    aeroway: Any = None
+    highway: Any = None
+    railway: Any = None
+    tunnel: Any = None
+    width: Any = None
+    lanes: Any = None
+
+    @property
+    def tags(self) -> dict[str, str]:
+        """What tells of a feature on the ground."""
+        kinds = ("building", "leisure", "amenity", "parking", "natural", "aeroway", "highway", "railway")
+        return {name: value for name in kinds if isinstance(value := getattr(self, name), str)}
 
 
 class Attributes(NamedTuple):
@@ -72,11 +89,23 @@ class Attributes(NamedTuple):
     remarks: Sequence[str] = ()
 
 
-def read(p: Properties, defaults: Defaults) -> Attributes:
-    """The attributes; what cannot be understood is remarked on and taken as missing."""
+def line_width_m(p: Properties) -> tuple[float, float] | str:
+    """Width of a line and the standard deviation of each side [m], or why it is no landmark."""
+    if p.tunnel not in (None, "no"):
+        return "it is a tunnel"
+    given, lanes = _number("width", p.width, 0.5, 200.0, []), _number("lanes", p.lanes, 0.5, 20.0, [])
+    return on_ground.width_m(p.tags, given, lanes) or "a LineString, not a Polygon: give it a width in m"
+
+
+def read(p: Properties, defaults: Defaults, side_sigma_m: float | None = None) -> Attributes:
+    """The attributes; what cannot be understood is remarked on and taken as missing. side_sigma_m: of a line on the ground."""
     missing: list[str] = []
     remarks: list[str] = []
-    height, height_sigma = _height(p, defaults, missing, remarks)
+    flat = side_sigma_m is not None or on_ground.lies_on_ground(p.tags)
+    if flat and p.height_m is None:
+        height, height_sigma = 0.0, on_ground.SIGMA_M
+    else:
+        height, height_sigma = _height(p, defaults, missing, remarks)
     own_height_sigma = _number("height_sigma_m", p.height_sigma_m, 0.0, 1e4, remarks)
     sigma = _number("sigma_m", p.sigma_m, 0.0, 1e4, remarks)
     outline_sigma = _number("outline_sigma_m", p.outline_sigma_m, 0.0, 1e3, remarks)
@@ -85,7 +114,8 @@ def read(p: Properties, defaults: Defaults) -> Attributes:
     colour = _colour(p, remarks)
     missing += [name for name, value in (("sigma_m", sigma), ("ground_alt_m", ground), ("colour", colour)) if value is None]
     if outline_sigma is None:
-        outline_sigma = 0.0 if height == 0.0 else EAVE_SIGMA_M
+        drawn = on_ground.EDGE_SIGMA_M if flat else 0.0 if height == 0.0 else EAVE_SIGMA_M
+        outline_sigma = drawn if side_sigma_m is None else side_sigma_m
     numbers = (
         height,
         height_sigma if own_height_sigma is None else own_height_sigma,

@@ -9,6 +9,8 @@ import pytest
 from tests.vision import real_pairs
 from tests.vision.real_pairs import RealPair
 from vision.describe.correspond import Match, Search, correspond
+from vision.describe.measure import RECORDED, Unmeasured, measure
+from vision.describe.plane import fit_plane
 from vision.describe.regions import Limits, find_regions
 from vision.describe.segment import segment_seeds
 from vision.describe.survey import Settings, Survey, grey, segment_regions, survey
@@ -59,6 +61,27 @@ def test_disparity_on_the_road(landfix_data: Path, frame: int) -> None:
     assert len(regions) >= 5
     assert np.median(np.abs(regions)) < 0.35
     assert (np.abs(cells) > 2.0).mean() < 0.12
+
+
+def test_flat_regions_on_the_road_are_as_far_off_as_claimed(landfix_data: Path) -> None:
+    """Within 3 standard deviations of the plane that semi-global matching sees there, but for regions of two surfaces."""
+    pair, off = real_pairs.kitti(landfix_data, 30), []
+    for match in matches_of(pair):
+        found = measure(match, pair.rig, RECORDED)
+        v, u = np.nonzero(match.region.mask)
+        px = np.column_stack((u, v)) + match.region.bbox[:2]
+        true = real_pairs.at(pair.truth, px)
+        known = np.isfinite(true)
+        if isinstance(found, Unmeasured) or known.sum() < 100:
+            continue
+        plane = fit_plane(px[known].astype(float), true[known], np.full(known.sum(), 0.1), np.zeros(2), 1.0)
+        assert plane is not None
+        residual = np.abs(plane.at(px[known]) - true[known])
+        if np.median(residual) < 0.2 and np.mean(residual < 1.0) > 0.9:
+            centre = pair.rig.left.project(found.centre_c[None])
+            off.append((found.disparity_px - plane.at(centre)[0]) / found.disparity_sigma_px)
+    assert len(off) >= 8
+    assert np.mean(np.abs(off) > 3.0) <= 0.25
 
 
 def test_rows_of_recorded_pairs_fit(landfix_data: Path) -> None:

@@ -22,6 +22,16 @@ if TYPE_CHECKING:
     from vision.recognisers import MapImage
 
 
+_REMEDIES = {  # of outcomes without a fix
+    "waiting": "give the next photos of the flight as well",
+    "ambiguous": "have more landmarks in view, or narrow --prior-sigma",
+    "not_found": "check --prior, --mount and the map (landfix map show), or add an orthophoto (--picture)",
+    "no_pose": "check --prior, --rig and --mount, or have more landmarks in view",
+    "prior_too_wide": "narrow --prior-sigma",
+    "no_region": "narrow --prior-sigma so that outlines can be predicted, or add an orthophoto (--picture)",
+    "swapped": "give LEFT first",
+    "outside": "give a --picture of this place, or check --prior",
+}
 _AROUND_M, _NEAREST = 300.0, 20  # landmarks that tell how high the ground is
 
 
@@ -139,7 +149,8 @@ def command(
     if result.report.outcome == "no_landmark_near":
         raise LocateError(f"no fix: no_landmark_near: {_how_far(landmarks, start)}")
     if result.fix is None:
-        raise LocateError(f"no fix: {result.report.outcome}" + (f": {result.report.detail}" if result.report.detail else ""))
+        said = (result.report.outcome, result.report.detail, _REMEDIES.get(result.report.outcome, ""))
+        raise LocateError(f"no fix: {': '.join(text for text in said[:2] if text)}" + (f"; {said[2]}" if said[2] else ""))
     known_m = answer["with_prior"]["within_m"]
     if within_m is not None and not known_m <= within_m:
         raise LocateError(f"no fix good to {within_m:g} m: with the prior it is good to {known_m:.2f} m (95 %)")

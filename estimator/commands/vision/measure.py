@@ -58,6 +58,7 @@ def command(
     from calib.files.formats import load_rig
     from estimator.commands.common.image_source import read_image
     from vision.describe.correspond import Search
+    from vision.describe.measure import RECORDED
     from vision.describe.regions import Limits
     from vision.describe.segment import Tolerance
     from vision.describe.survey import Settings, survey
@@ -69,6 +70,7 @@ def command(
         tolerance=Tolerance().scaled(tolerance),
         limits=Limits(most=most, least_px=least_px),
         search=Search(nearest_m=nearest_m),
+        accuracy=RECORDED,
     )
     images = [read_image(path) for path in (left, right)]
     found = survey(images[0], images[1], _rectified(rig_file, rig), settings)

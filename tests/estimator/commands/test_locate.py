@@ -102,6 +102,17 @@ def test_without_a_fix_it_reports_why_and_fails(folder: Path, tmp_path: Path) ->
     assert out.exists()
 
 
+def test_a_refusal_names_its_remedy(folder: Path) -> None:
+    """An image of something else: the outlines are not there."""
+    cv2.imwrite(str(folder / "noise.png"), np.random.default_rng(0).integers(0, 255, (480, 640, 3)).astype(np.uint8))
+    result = run(folder / "noise.png", *options(folder))
+    assert result.exit_code == 1
+    assert result.stderr.count("\n") == 1
+    assert result.stderr.startswith("landfix: no fix: ")
+    assert "; " in result.stderr
+    assert any(word in result.stderr.rpartition("; ")[2] for word in ("check --prior", "narrow --prior-sigma"))
+
+
 @pytest.mark.parametrize(
     ("given", "said"),
     [

@@ -1,6 +1,7 @@
 """Colours from orthophotos: the image is painted first, the map is where its patches lie on Earth."""
 
 import json
+import re
 import shutil
 import struct
 from pathlib import Path
@@ -61,9 +62,9 @@ def build(source: Path, orthophoto: Path, *more: str) -> LandmarkMap:
     return LandmarkMap.from_geojson(out.read_bytes())
 
 
-def geotiff(path: Path, image: NDArray[np.uint8], order: str) -> Path:
+def geotiff(path: Path, image: NDArray[np.uint8], order: str, epsg: int = UTM) -> Path:
     """An uncompressed GeoTIFF of NORTH_UP: tie point at the corner of the first pixel."""
-    keys = [1, 1, 0, 2, 1025, 0, 1, 1, 3072, 0, 1, UTM]
+    keys = [1, 1, 0, 2, 1025, 0, 1, 1, 3072, 0, 1, epsg]
     extra = struct.pack(f"{order}3d6d12H3H", 0.5, 0.5, 0.0, 0.0, 0.0, 0.0, 465_000.0, 5_250_000.0, 0.0, *keys, 8, 8, 8)
     pixels = np.ascontiguousarray(image[:, :, ::-1]).tobytes()
     at = 8 + len(pixels)
@@ -182,6 +183,20 @@ def test_what_cannot_be_used_gets_one_line(tmp_path: Path) -> None:
         tiff.write_bytes(whole[:length])
         with pytest.raises(MapError):
             load(tiff)
+
+
+@pytest.mark.parametrize(
+    ("epsg", "said"),
+    [
+        (25832, "EPSG:25832 is not known here: it is WGS 84's of zone 32 within a metre: give 32632 (--picture-epsg"),
+        (2056, "EPSG:2056 is not known here: give 4326, 326xx, 327xx or 3857 (--picture-epsg"),
+    ],
+)
+def test_another_coordinate_system_names_its_remedy(tmp_path: Path, epsg: int, said: str) -> None:
+    path = geotiff(tmp_path / "photo.tif", painted(), "<", epsg)
+    with pytest.raises(MapError, match=re.escape(said)):
+        load(path)
+    assert load(path, 32632).epsg == 32632
 
 
 def test_a_real_geotiff_lies_where_its_readme_reports(landfix_data: Path) -> None:

@@ -152,7 +152,11 @@ A_LINE = [[8.0, 47.0], [8.0001, 47.0], [8.0002, 47.0], [8.0, 47.0]]
         (feature([[[lon + 90.0, lat] for lon, lat in ring()]]), "km or more from the map's origin"),
         (feature([ring(length=2500.0)]), "longer than 2000 m"),
         (feature([8.0, 47.0], kind="Point"), "a Point, not a Polygon"),
-        (feature([ring()], kind="LineString"), "a LineString, not a Polygon"),
+        (feature(ring()[:2], kind="LineString"), "a LineString, not a Polygon: give it a width"),
+        (feature(ring()[:2], kind="LineString", highway="path", tunnel="yes"), "it is a tunnel"),
+        (feature([[8.0]], kind="LineString", highway="path"), "a line of longitude and latitude in degrees"),
+        (feature([[4e5, 5e6], [4e5, 6e6]], kind="LineString", highway="path"), "a line of longitude and latitude in degrees"),
+        (feature([[8.0, 47.0]], kind="LineString", highway="path"), "no length"),
         ({"type": "Feature", "geometry": None, "properties": None}, "no geometry"),
         ({"type": "Feature", "geometry": 7}, "got 'int'"),
         (17, "got 'int'"),
@@ -165,6 +169,44 @@ def test_a_bad_feature_gets_its_reason_and_the_others_go_on(bad: Any, reason: st
     (finding,) = the_map.report.rejected
     assert finding.feature == 2
     assert any(part in finding.text for part in reason.split("|")), finding.text
+
+
+@pytest.mark.parametrize(
+    ("properties", "height", "outline_sigma"),
+    [
+        ({"leisure": "swimming_pool"}, 0.0, 0.3),
+        ({"leisure": "pitch", "sport": "tennis"}, 0.0, 0.3),
+        ({"amenity": "parking_space"}, 0.0, 0.3),
+        ({"leisure": "swimming_pool", "building": "yes"}, 6.0, 0.3),
+        ({"leisure": "swimming_pool", "height_m": 1.0, "outline_sigma_m": 0.1}, 1.0, 0.1),
+        ({"highway": "pedestrian"}, 0.0, 0.3),
+        ({"amenity": "parking", "parking": "multi-storey"}, 6.0, 0.3),
+        ({"leisure": ["pitch"]}, 6.0, 0.3),
+        ({}, 6.0, 0.3),
+    ],
+)
+def test_pools_courts_and_bays_lie_on_the_ground(properties: dict[str, Any], height: float, outline_sigma: float) -> None:
+    (found,) = read(feature(**properties))
+    assert (found.height_m, found.outline_sigma_m) == (height, outline_sigma)
+    assert found.height_sigma_m > 0.0
+
+
+@pytest.mark.parametrize(
+    ("tags", "width", "side_sigma"),
+    [
+        ({"width": "7 m"}, 7.0, 0.3),
+        ({"highway": "residential", "lanes": "2"}, 6.5, 1.0),
+        ({"highway": "residential"}, 5.5, 1.0),
+        ({"railway": "rail"}, 4.0, 1.0),
+    ],
+)
+def test_a_line_with_a_width_is_a_strip_on_the_ground(tags: dict[str, Any], width: float, side_sigma: float) -> None:
+    corners = [list(pymap3d.ned2geodetic(0.0, east, 0.0, *ORIGIN)[1::-1]) for east in (0.0, 100.0)]
+    (found,) = read(feature(corners, kind="LineString", **tags))
+    assert (found.height_m, found.height_sigma_m, found.outline_sigma_m) == (0.0, 0.5, side_sigma)
+    assert (found.width_m, found.length_m) == pytest.approx((width, 100.0), rel=0.01)
+    both = read(feature([corners, corners[::-1]], kind="MultiLineString", id="way/7", **tags))
+    assert [landmark.id for landmark in both] == ["way/7/1", "way/7/2"]
 
 
 def test_too_many_corners() -> None:
@@ -181,6 +223,8 @@ def test_too_many_corners() -> None:
         (b"SQLite format 3\0\x10", "GeoPackage: convert it with ogr2ogr"),
         (b"\x00\x00\x27\x0a" + bytes(96), "Shapefile: convert it with ogr2ogr"),
         (b'<?xml version="1.0"?><kml xmlns="http://www.opengis.net/kml/2.2"/>', "KML: convert it with ogr2ogr"),
+        (b'<?xml version="1.0"?><osm version="0.6"/>', "OpenStreetMap XML: convert it with ogr2ogr"),
+        (b'<a xmlns:gml="http://www.opengis.net/gml"/>', "GML: convert it with ogr2ogr"),
         (b"PK\x03\x04" + bytes(96), "ZIP file, to be unpacked first"),
         (b'{"version": 0.6, "elements": []}', "Overpass JSON: export as GeoJSON"),
         (b'{"version": 0.6, "osm3s": {"copyright": "ODbL"}, "elements": []}', "landfix map get"),
