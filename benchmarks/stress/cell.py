@@ -139,7 +139,8 @@ def errors(estimates: list[Estimate], flight: Flight, from_s: float) -> tuple[Ar
     estimates = [e for e in _first_of_each_stamp(estimates) if e.t_ns >= scored_ns]
     t_ns = np.array([e.t_ns for e in estimates], np.int64)
     row, near = nearest(flight.t_ns, t_ns, _TRUTH_NS)
-    chosen, t_s = [e for e, is_near in zip(estimates, near, strict=True) if is_near], (t_ns[near] - flight.start_ns) * 1e-9
+    chosen = [e for e, is_near in zip(estimates, near, strict=True) if is_near]
+    t_s: Array = (t_ns[near] - flight.start_ns) * 1e-9
     if not chosen:
         return t_s, np.empty(0), np.empty(0)
     off = _interpolated(flight, row[near], t_s) - np.array([e.nav[X.P] for e in chosen])

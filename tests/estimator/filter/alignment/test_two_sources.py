@@ -1,4 +1,4 @@
-"""Alignment where GNSS and the first rare fix disagree: it ends, whichever of the two is false, and the covariance covers both."""
+"""Alignment where GNSS and the first rare fix disagree: it ends whichever is false, and the covariance covers both."""
 
 import pytest
 from msgspec.structs import replace
