@@ -140,7 +140,7 @@ def errors(estimates: list[Estimate], flight: Flight, from_s: float) -> tuple[Ar
     t_ns = np.array([e.t_ns for e in estimates], np.int64)
     row, near = nearest(flight.t_ns, t_ns, _TRUTH_NS)
     chosen = [e for e, is_near in zip(estimates, near, strict=True) if is_near]
-    t_s: Array = (t_ns[near] - flight.start_ns) * 1e-9
+    t_s = np.asarray((t_ns[near] - flight.start_ns) * 1e-9, np.float64)
     if not chosen:
         return t_s, np.empty(0), np.empty(0)
     off = _interpolated(flight, row[near], t_s) - np.array([e.nav[X.P] for e in chosen])
