@@ -21,7 +21,7 @@ _BUILT: Final = ("multi-storey", "underground", "rooftop")  # car parks
 _USUAL_M: Final[Mapping[str, Mapping[str, float]]] = {
     "highway": {
         "motorway": 11.0, "trunk": 9.0, "primary": 8.0, "secondary": 7.0, "tertiary": 6.5, "residential": 5.5,
-        "unclassified": 5.5, "living_street": 5.0, "service": 4.0, "track": 3.0, "cycleway": 2.5, "footway": 2.0, "path": 1.5,
+        "unclassified": 5.5, "living_street": 5.0, "service": 4.0, "track": 3.0,
     },
     "aeroway": {"runway": 30.0, "taxiway": 15.0},
     "railway": {"rail": 4.0},
