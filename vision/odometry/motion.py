@@ -4,16 +4,13 @@
     d(y) = f b pi^T m(y) + e_d,   m = ((u_l - c_x) / f, (v_l - c_y) / f, 1)                           (ground plane, optional)
 
 h projects a point of the camera to (u_l, v_l, u_r); T is the pose of the body at t1 in the body at t0 (p, R). delta is the error
-that the rig gives all disparities, N(0, sigma_delta^2). Without a plane it is considered and not estimated (Schmidt 1966): two
-pairs of level ground hardly show it, and where disparities are small a solution runs far along it. The plane is pi = n / height
-with the normal n in the camera; in the disparity d it is linear, and known to pi_0 +- the errors of height and slope. With
-G = dg/dy, C = dg/d(T, delta, pi) and S = R_1 + G R_0 G^T (and a row for the plane) each point contributes C^T S^-1 C, and y
-follows (Schur complement; Triggs et al. 2000). Points are not fixed at what the first pair measured: at small disparities that
-would shorten the motion.
+that the rig gives all disparities, N(0, sigma_delta^2). The plane is pi = n / height with the normal n in the camera; in the
+disparity d it is linear, and known to pi_0 +- the errors of height and slope. With G = dg/dy, C = dg/d(T, delta, pi) and
+S = R_1 + G R_0 G^T (and a row for the plane) each point contributes C^T S^-1 C, and y follows (Schur complement; Triggs et al.
+2000). Points are not fixed at what the first pair measured: at small disparities that would shorten the motion.
 
 With N the normal matrix and L the part of it that the priors of delta and height give, an error of a prior repeats in every step:
-it is N^-1 L (prior - truth), given apart; the rest, N^-1 (N - L) N^-1, is new in each. A considered delta repeats as
--N_TT^-1 N_Tdelta delta.
+it is N^-1 L (prior - truth), given apart; the rest, N^-1 (N - L) N^-1, is new in each.
 Errors are those of the filter: p_true = p + dp, R_true = R exp(theta).
 """
 
@@ -26,7 +23,6 @@ from models import so3
 from models.camera import StereoRig
 from models.messages import Array
 
-_POSE: Final = 6  # unknowns: (p, theta), then delta, then pi
 _ITERATIONS: Final = 25
 _CONVERGED: Final = 0.03  # of the step's own standard deviation
 _CAUCHY: Final = 2.5  # sigma, of three values
@@ -163,8 +159,7 @@ def solve(
     prior = _prior(disparity_sigma_px, plane)
     if guide is not None:
         prior[:6, :6] = guide
-    free = _POSE if plane is None and guide is None else len(prior)
-    unknowns, step = np.zeros(len(prior)), np.zeros(len(prior))
+    unknowns = np.zeros(len(prior))
     y, motion, pi = z0, start, None if plane is None else plane.pi
     for _ in range(_ITERATIONS):
         shifted = z0 - unknowns[6] * _COLUMN
@@ -181,19 +176,19 @@ def solve(
         sums = both.reshape(-1, rows).T @ weighted.reshape(-1, rows)
         N, right = sums[:-1, :-1] + prior, sums[:-1, -1] - prior @ unknowns
         try:
-            L = np.linalg.cholesky(N[:free, :free])
+            L = np.linalg.cholesky(N)
         except np.linalg.LinAlgError:
             break
-        step[:free] = np.linalg.solve(N[:free, :free], right[:free])
+        step: Array = np.asarray(np.linalg.solve(N, right), np.float64)
         if not np.isfinite(step).all():
             break
         unknowns = unknowns + step  # of p and theta to the first order, which is enough for a guide
         y = _points_after(z0 - unknowns[6] * _COLUMN, variance0, system, step)
         motion = Motion(motion.p + step[:3], motion.R @ so3.matrix(so3.quat_exp(step[3:6])))
         pi = None if plane is None else plane.pi + unknowns[7:]
-        if np.linalg.norm(L.T @ step[:free]) < _CONVERGED:
+        if np.linalg.norm(L.T @ step) < _CONVERGED:
             return Solution(
-                motion, *_errors(N, free, disparity_sigma_px, plane), system.e[:, :2] / system.sigma, distances, scale, True
+                motion, *_errors(N, disparity_sigma_px, plane), system.e[:, :2] / system.sigma, distances, scale, True
             )
     nothing = np.full((6, 6), np.nan)
     return Solution(motion, nothing, nothing[:, :2], np.zeros((len(y0), 2)), np.full(len(y0), np.inf), np.inf, False)
@@ -208,27 +203,19 @@ def _prior(disparity_sigma_px: float, plane: Plane | None) -> Array:
     return prior
 
 
-def _errors(N: Array, free: int, disparity_sigma_px: float, plane: Plane | None) -> tuple[Array, Array]:
+def _errors(N: Array, disparity_sigma_px: float, plane: Plane | None) -> tuple[Array, Array]:
     """Covariance (6, 6) of what is new in each step, symmetric to the bit, and what repeats (6, 2).
 
-    free: so many unknowns were estimated. delta is that of u_r: positive makes disparities smaller.
+    N is inverted in units of its diagonal, D N D with D = diag(N)^-1/2: metres, radians and pixels differ by orders of magnitude.
     """
-    P, systematic = _inverse(N[:free, :free]), np.zeros((_POSE, 2))
-    if free == _POSE:
-        systematic[:, 0] = -P @ N[:_POSE, _POSE] * disparity_sigma_px
-        return P, systematic
-    systematic[:, 0] = P[:_POSE, _POSE] / disparity_sigma_px
-    if plane is not None:
-        systematic[:, 1] = P[:_POSE, _POSE + 1 :] @ plane.n * (-(plane.height_m**2) / plane.height_sigma_m)
-    return P[:_POSE, :_POSE] - systematic @ systematic.T, systematic
-
-
-def _inverse(N: Array) -> Array:
-    """In units of the diagonal, D N D with D = diag(N)^-1/2: metres, radians and pixels differ by orders of magnitude."""
     units = np.diag(N) ** -0.5
     P = units[:, np.newaxis] * np.linalg.inv(N * np.outer(units, units)) * units
-    symmetric: Array = 0.5 * (P + P.T)
-    return symmetric
+    P = 0.5 * (P + P.T)
+    systematic = np.zeros((6, 2))
+    systematic[:, 0] = P[:6, 6] / disparity_sigma_px  # delta is that of u_r: positive makes disparities smaller
+    if plane is not None:
+        systematic[:, 1] = P[:6, 7:] @ plane.n * (-(plane.height_m**2) / plane.height_sigma_m)
+    return P[:6, :6] - systematic @ systematic.T, systematic
 
 
 class _System(NamedTuple):
