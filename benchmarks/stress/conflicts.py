@@ -8,6 +8,7 @@ that stays below it to the end, or up to the last fix where fixes are rarer than
 """
 
 import argparse
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -130,7 +131,7 @@ def main() -> None:
     report = table(rows).markdown()
     (args.out / "report.md").write_text(report)
     print(report)
-    for says in dict.fromkeys(r.says for r in rows if r.says):
+    for says in {re.sub(r"[\d.]+", "", r.says): r.says for r in rows if r.says}.values():  # one of each kind
         print(f"- {says}")
     print(f"{args.out}/report.md, rows.jsonl")
 
