@@ -91,7 +91,7 @@ class Delay(NamedTuple):
         information, score = float(weighed @ j), float(weighed @ seen.nu)
         total, scores = sums.information + information, sums.score + score
         if seen.distance2 > gate:
-            tau = scores / total
+            tau = scores / total if total > 0.0 else 0.0  # at rest no reading shows a delay
             left = seen.distance2 - 2.0 * tau * score + tau**2 * information  # (nu - J' tau)^T S^-1 (nu - J' tau)
             if left > gate or score**2 < _SIGMAS**2 * information or abs(score) > _LONGEST_S * information:
                 return sums

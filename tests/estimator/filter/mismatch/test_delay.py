@@ -302,3 +302,10 @@ def test_a_receiver_that_is_pulled_off_is_not_late() -> None:
     messages = [pulled(m) for m in flight.messages if not isinstance(m, PoseFix) or m.t_ns < pull_ns]
     run = fly(flight, messages=messages)
     assert not any("stamps of /gnss" in h.detail for h in run.health)
+
+
+def test_a_false_reading_of_a_vehicle_at_rest_shows_no_delay() -> None:
+    """Where nothing moves, no reading depends on tau: the sums stay zero, and are divided by nothing."""
+    one, nothing = np.ones((1, 1)), delay.Delay(EPOCH_NS)
+    seen = Innovation(np.array([50.0]), one, np.zeros((1, 1)), one, one, 2500.0, 0.0)
+    assert nothing.also(EPOCH_NS, seen, 0, gate=6.6) == nothing
