@@ -11,11 +11,12 @@ from models.messages import GnssFix, GnssVelocity, ImuSample, Input, LandmarkFix
 _STEP_NS = 5_000_000
 _PLACE = (47.0, 8.0, 400.0)
 _LEVEL = (1.0, 0.0, 0.0, 0.0)
+_FALSE_M = 50.0
 _NOT_GIVEN: tuple[list[int], ...] = ([], [3, 4], [5])  # of x y z rx ry rz: nothing; roll and pitch; yaw
 
 
 def warm_up() -> None:
-    """A flight of two seconds, with late fixes, whole and in part, and a gap, through decoder, estimator and encoders."""
+    """A flight of two seconds, with late fixes, whole, in part and false, and a gap, through decoder, estimator and encoders."""
     decoder, fusion, publisher = Decoder(), Fusion(FusionConfig(origin=_PLACE)), Publisher(OutputConfig())
     for message in _flight():
         topic, schema, data = encode_input(message)
@@ -31,7 +32,8 @@ def _flight() -> list[Input]:
         messages.append(ImuSample(t_ns, t_ns, (0.0, 0.0, 1e-3 * (k % 7)), (1e-2 * (k % 5), 0.0, -9.81)))
         if k % 20 == 0:
             validity_ns = max(_STEP_NS, t_ns - 10 * _STEP_NS)
-            messages.append(_pose_fix(validity_ns, t_ns, _NOT_GIVEN[k // 20 % len(_NOT_GIVEN)]))
+            north_m = _FALSE_M if k > 300 else 0.0
+            messages.append(_pose_fix(validity_ns, t_ns, north_m, _NOT_GIVEN[k // 20 % len(_NOT_GIVEN)]))
             messages.append(_landmark_fix(validity_ns, t_ns, in_part=k % 40 == 0))
             messages.append(GnssFix(t_ns, t_ns, *_PLACE, np.eye(3)))
             messages.append(GnssVelocity(t_ns, t_ns, (0.0, 0.0, 0.0), np.eye(3)))
@@ -39,10 +41,10 @@ def _flight() -> list[Input]:
     return [*messages, Tick(end_ns, end_ns)]
 
 
-def _pose_fix(validity_ns: int, arrived_ns: int, not_given: list[int]) -> PoseFix:
+def _pose_fix(validity_ns: int, arrived_ns: int, north_m: float, not_given: list[int]) -> PoseFix:
     covariance = np.eye(6) * 1e-2
     covariance[not_given, not_given] = np.nan
-    return PoseFix(validity_ns, arrived_ns, (0.0, 0.0, 0.0), _LEVEL, covariance)
+    return PoseFix(validity_ns, arrived_ns, (north_m, 0.0, 0.0), _LEVEL, covariance)
 
 
 def _landmark_fix(validity_ns: int, arrived_ns: int, *, in_part: bool) -> LandmarkFix:

@@ -363,7 +363,7 @@ def test_a_velocity_alone_does_not_count_as_an_absolute_fix() -> None:
     run = Run(Fusion(FusionConfig())).feed(by_arrival([*messages, *speeds]))
     assert run.reasons("/gnss/velocity") == {Reason.PROBATION: 10, Reason.FUSED: 40}
     assert run.estimates[-1].mode is Mode.DEAD_RECKONING
-    assert np.sqrt(np.diag(run.estimates[-1].covariance)[E.V]).max() < 0.1
+    assert np.sqrt(np.diag(run.estimates[-1].covariance)[E.V]).max() < 0.15  # 0.1 downwards is GNSS's slow error
 
 
 # --- together --------------------------------------------------------------------------------------------------------------

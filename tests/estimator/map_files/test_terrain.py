@@ -115,7 +115,7 @@ def test_landmarks_beyond_the_model_are_left_out_and_counted(tmp_path: Path) -> 
     [
         (lambda p: hgt(p, "dem.hgt"), "named after its south-west corner"),
         (lambda p: hgt(p, void=True), "all of its heights are marked as unknown"),
-        (lambda p: geotiff(p / "d.tif", np.zeros((9, 9)), 2e6, 1e6, 1.0, 3072, 2056), "convert it with gdalwarp"),
+        (lambda p: geotiff(p / "d.tif", np.zeros((9, 9)), 2e6, 1e6, 1.0, 3072, 2056), "convert it: gdalwarp -t_srs EPSG:4326"),
         (lambda p: geotiff(p / "d.tif", np.zeros((9, 9)), 0.0, 0.0, 0.001), "does not reach 47.37, 8.54, the middle of the map"),
         (lambda p: p, "holds 0 tiles"),
         (lambda p: p / "none.tif", "no such file"),
