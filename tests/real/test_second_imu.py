@@ -1,6 +1,5 @@
 """A public ArduPilot flight with three IMUs, of 50 Hz: the first leads to the end; where it fails, the second takes over."""
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -13,18 +12,18 @@ from models.messages import Estimate, GnssFix, GnssVelocity, ImuSample, Input
 from models.state import E, X
 from tests.estimator.scenes import Run
 
-LOG = Path(os.environ.get("LANDFIX_DATA", "data")) / "native_logs" / "ardupilot_log171.bin"
 FAULT_S, DARK_S = 145.0, (142.0, 160.0)
 
 
 @pytest.fixture(scope="module")
-def flight() -> tuple[str, list[Input]]:
-    if not LOG.exists():
+def flight(landfix_data: Path) -> tuple[str, list[Input]]:
+    log = landfix_data / "native_logs" / "ardupilot_log171.bin"
+    if not log.exists():
         pytest.skip("needs LANDFIX_DATA/native_logs/ardupilot_log171.bin")
-    recording = dataflash.read(LOG)
+    recording = dataflash.read(log)
     topics = tuple(s.topic for s in recording.streams if s.topic != "/truth")
     messages = [m for s in recording.streams if s.topic != "/truth" for m in s]
-    return recording.settings.toml("dataflash", LOG, topics), sorted(messages, key=lambda m: m.arrived_ns)  # type: ignore[arg-type]
+    return recording.settings.toml("dataflash", log, topics), sorted(messages, key=lambda m: m.arrived_ns)  # type: ignore[arg-type]
 
 
 def _seconds(message: Input | Estimate, first: Input) -> float:
