@@ -2,8 +2,8 @@
 
 It takes no reading of the receiver. With each fix that the leading hypothesis predicts better it begins again as that one, so
 that it is never older than the last confirmation. Where no hypothesis takes a fix, one begins at the fix, for the receiver may
-have been misled from the start. Until the next fix both count alike in the covariance; it is dropped when that one does not follow,
-for fixes in a wrong unit are no evidence.
+have been misled from the start. Until the next fix both count alike in the covariance. It is dropped when that one does not
+follow, for fixes in a wrong unit are no evidence.
 
 Where the leading hypothesis refuses the velocities of the receiver for long, the filter or the receiver has gone wrong, and both
 count alike in the covariance until a fix decides.
