@@ -157,6 +157,10 @@ class Eskf:
         """Another IMU: b <- b + d, P_bb <- P_bb + diag(sigma^2); shift d, sigma: (6,), gyroscope then accelerometer."""
         self.x[X.BG] += shift[:3]
         self.x[X.BA] += shift[3:]
+        self.widen_biases(sigma)
+
+    def widen_biases(self, sigma: Array) -> None:
+        """P_bb <- P_bb + diag(sigma^2); sigma: (6,), gyroscope then accelerometer."""
         self.cov[E.BG, E.BG] += np.diag(sigma[:3] ** 2)
         self.cov[E.BA, E.BA] += np.diag(sigma[3:] ** 2)
 

@@ -440,8 +440,10 @@ class Tracker(Alignment):
         self.bias_walk = before.also(aid.topic, aid.t_ns, seen, self.variance_factor.value)
         if self.bias_walk.factor != before.factor:
             self.constants = imu.constants(self.bias_walk.of_noise(self.noise), self.config.coast, self.origin)
+            walked = self.bias_walk.walked(before, self.noise)
             for member in self.hypotheses.members:
                 member.filter.constants = self.constants
+                member.filter.widen_biases(walked)
 
     def _alone(self, aid: Aid) -> bool:
         """No other absolute source is active to compare this one with."""

@@ -48,6 +48,7 @@ _WRONG_NS = 30_000_000_000  # a heading that motion has refuted is not asked for
 _HEARD_NS = 10_000_000_000  # a source of the filter's positions is still there
 _FRESH_NS = 2_000_000_000  # a prior attitude is of now
 _XYZ = 3
+_NO_NOISE = math.radians(30.0)  # of an attitude: who measures it that badly does not measure it
 _REFUTED = 2  # positions in a row
 _MOVED_SIGMA = 4.0  # positions that differ by more are of a vehicle that moves
 
@@ -102,6 +103,7 @@ class Alignment:
         self.variance_factor = NO_EXCESS
         self.begun_by = ""  # the source at whose position the newest filter begins
         self.direction: tuple[float, ...] = ()  # of the newest innovation of an absolute source during the alignment
+        self.persisted = False  # it and the one before point the same way
         self.conflicts = Conflicts()
         self.absolute: frozenset[str] = frozenset()  # topics that have given positions
         self.plausibility = Plausibility(Phase.STARTING, _NO_START)
@@ -208,10 +210,11 @@ class Alignment:
         if aid.absolute:
             before, self.direction = self.direction, contradiction.direction(seen.nu, seen.s)
             persists = contradiction.persists(before, self.direction)
+            lasts, self.persisted = persists and (self.persisted or _turns(z, seen)), persists
             foreseen |= seen.distance2 <= limit and not persists
             if len(self.hypotheses.members) == 1:
-                follows = self._follows(aid, seen, limit, persists=persists)
-                self._note_variance(aid, seen, LARGEST if persists else LARGEST_AT_FIRST)
+                follows = self._follows(aid, seen, limit, lasts=lasts)
+                self._note_variance(aid, seen, LARGEST if lasts else LARGEST_AT_FIRST)
             disagrees = seen.distance2 * self.variance_factor.value > limit
             if persists or not disagrees:
                 self.conflicts = self.conflicts.compared(aid, z, self.hypotheses.lead.x[X.P], disagrees=disagrees)
@@ -231,16 +234,16 @@ class Alignment:
             confirmed = self._relinearise(self.stretch, samples).is_confirmed
             self.is_aligned = known and confirmed and self._is_known()
 
-    def _follows(self, aid: Aid, seen: Innovation, limit: float, *, persists: bool) -> bool:
+    def _follows(self, aid: Aid, seen: Innovation, limit: float, *, lasts: bool) -> bool:
         """Fuse what the only filter has not foreseen, after another such one, for without fixes it reckons ever farther off.
 
-        Once, and then while the innovations do not keep pointing the same way; not after a filter was given up: an IMU that is
-        wrong is not followed.
+        Once, and then while no three innovations in a row point the same way, two where they turn the vehicle over; not after a
+        filter was given up: an IMU that is wrong is not followed.
         """
         assert self.hypotheses is not None
         is_alone = self.absolute <= {aid.topic}  # else the two may be in conflict
         has_followed = self.stretch is not None and self.stretch.has_followed
-        if self.given_up or not is_alone or not self.contradiction.unforeseen or (persists and has_followed):
+        if self.given_up or not is_alone or not self.contradiction.unforeseen or (lasts and has_followed):
             return False
         if seen.distance2 > limit and seen.log_likelihood <= aid.log_false:  # what weigh() has not fused
             self.hypotheses.lead.update(seen)
@@ -445,6 +448,11 @@ class Alignment:
         if end - begin < _FEWEST_SAMPLES or samples.t_ns[end - 1] - samples.t_ns[begin] < 0.5 * span_ns:
             return None
         return samples.u[begin:end]
+
+
+def _turns(z: Measurement, seen: Innovation) -> bool:
+    """Whether the attitude of a fix is so far off that it is no noise of a fix."""
+    return isinstance(z, Pose) and z.attitude == "full" and float(np.linalg.norm(seen.nu[_XYZ:])) > _NO_NOISE
 
 
 def _differ(z: Position | Pose, first: Position | Pose) -> bool:

@@ -1,52 +1,60 @@
 """How fast the biases of the IMU walk: warm-up, a temperature ramp, a scale that is off, vibration that comes and goes.
 
 The innovations of a filter that is right are white, and of the size of their covariance (Kailath 1968). Where those of a source
-are larger and follow one another in direction, the filter is wrong about the motion, not the source about its noise:
+are larger and have a mean, the filter is wrong about the motion, not the source about its noise. With z = nu / sigma, (dof,):
 
-    e <- e + a (nu^T S^-1 nu / m - e),   r <- r + a (cos(nu_k, nu_k-1) - r),      wrong where e > e1 and r > r1
+    e <- e + a (nu^T S^-1 nu / dof - e),   m <- m + a (z - m)
+    wrong where e1 < e < e2 and |m|^2 (2 - a) / a > e chi2_99.5(dof);  surely wrong where beyond e chi2_99.99(dof)
 
-Then the variance that the biases gain per second is taken as ten times larger, and a hundred times every two seconds while that
-lasts; afterwards it comes back. A source of too small a covariance has large innovations, but without a direction.
-(Mehra, Approaches to adaptive filtering, 1972; covariance inflation as in Sage and Husa 1969.)
+Then the variance that the biases gain per second is taken as ten times larger, a hundred times where it is surely wrong or has
+been two seconds before; afterwards it comes back. What they gain is added for the last seconds too, of which the averages are.
+A source of too small a covariance has large innovations, but without a mean; very large ones say nothing of the motion.
+(Mehra, Approaches to adaptive filtering, 1972; covariance inflation as in Sage and Husa 1969. Variance of m: that of an
+exponentially weighted mean, Roberts 1959.)
 """
 
 import math
 from typing import NamedTuple
 
+import numpy as np
 from msgspec.structs import replace
 
 from estimator.filter import contradiction
 from estimator.filter.eskf import Innovation
+from estimator.sources.gating import gate
 from models.imu import ImuNoise
+from models.messages import Array
 
 _SHARE = 0.15  # a: of one innovation
-_LARGER, _SAME_WAY = 1.3, 0.3  # e1, r1
+_LARGER, _NOISE = 1.3, 8.0  # e1, e2: larger than any wrong motion makes them
+_LARGEST = 10.0  # of one innovation, which may be false
+_LIKELY, _SURE = 0.995, 0.9999
 _FIRST, _STEP, _STEP_S = 10.0, 100.0, 2.0
 _BACK_S = 15.0  # time constant
+_MEMORY_S = 5.0  # of the averages, for a few innovations a second
 _MOST = 1e6
 _MOST_GYRO, _MOST_ACCEL = 1e-3, 0.03  # rad/s^2/sqrt(Hz), m/s^3/sqrt(Hz): no IMU is worse
 
 
 class Whiteness(NamedTuple):
-    """Of the innovations of one source: e, r and the direction of the last one."""
+    """Of the innovations of one source: e and m."""
 
     size: float = 1.0
-    correlation: float = 0.0
-    last: tuple[float, ...] = ()
+    mean: tuple[float, ...] = ()
 
     def also(self, seen: Innovation, variance_factor: float) -> "Whiteness":
         """With one more."""
-        now = contradiction.direction(seen.nu, seen.s)
-        size = seen.distance2 * variance_factor / len(seen.nu)
-        same = sum(a * b for a, b in zip(self.last, now, strict=True)) if len(self.last) == len(now) else 0.0
-        return Whiteness(
-            self.size + _SHARE * (min(size, 10.0) - self.size), self.correlation + _SHARE * (same - self.correlation), now
-        )
+        dof = len(seen.nu)
+        size = min(seen.distance2 * variance_factor / dof, _LARGEST)
+        before = self.mean if len(self.mean) == dof else (0.0,) * dof
+        now = [math.sqrt(size * dof) * part for part in contradiction.direction(seen.nu, seen.s)]
+        mean = tuple(m + _SHARE * (z - m) for m, z in zip(before, now, strict=True))
+        return Whiteness(self.size + _SHARE * (size - self.size), mean)
 
-    @property
-    def is_wrong(self) -> bool:
-        """Whether they show that the motion is wrong."""
-        return self.size > _LARGER and self.correlation > _SAME_WAY
+    def is_wrong(self, probability: float) -> bool:
+        """Whether they show that the motion is wrong; white ones do with 1 - probability."""
+        squared = sum(m * m for m in self.mean) * (2.0 - _SHARE) / _SHARE
+        return _LARGER < self.size < _NOISE and squared > self.size * gate(probability, len(self.mean))
 
 
 class BiasWalk(NamedTuple):
@@ -64,11 +72,11 @@ class BiasWalk(NamedTuple):
         sources, seconds = tuple({**known, topic: now}.items()), (t_ns - self.t_ns) * 1e-9
         if seconds < _STEP_S:
             return self._replace(sources=sources)
-        if now.is_wrong:
-            factor = min((_STEP if self.was_wrong else _FIRST) * self.factor, _MOST)
+        if now.is_wrong(_LIKELY):
+            factor = min((_STEP if self.was_wrong or now.is_wrong(_SURE) else _FIRST) * self.factor, _MOST)
         else:
             factor = 1.0 + (self.factor - 1.0) * math.exp(-_STEP_S / _BACK_S)
-        return BiasWalk(sources, factor if factor > 1.1 else 1.0, t_ns, now.is_wrong)
+        return BiasWalk(sources, factor if factor > 1.1 else 1.0, t_ns, now.is_wrong(_LIKELY))
 
     def of_noise(self, noise: ImuNoise) -> ImuNoise:
         """The IMU with the larger walks."""
@@ -77,3 +85,10 @@ class BiasWalk(NamedTuple):
             max(walk, min(times * walk, most)) for walk, most in ((noise.gyro_walk, _MOST_GYRO), (noise.accel_walk, _MOST_ACCEL))
         )
         return replace(noise, gyro_walk=gyro, accel_walk=accel)
+
+    def walked(self, before: "BiasWalk", noise: ImuNoise) -> Array:
+        """Sigma (6,) of what the biases have walked beyond `before`, over the time that the averages look back."""
+        now, then = self.of_noise(noise), before.of_noise(noise)
+        gyro, accel = now.gyro_walk**2 - then.gyro_walk**2, now.accel_walk**2 - then.accel_walk**2
+        sigmas: Array = np.sqrt(_MEMORY_S * np.maximum(np.repeat((gyro, accel), 3), 0.0))
+        return sigmas

@@ -103,7 +103,7 @@ def test_fixes_that_claim_too_small_a_covariance_are_fused_and_the_estimate_clai
 def test_the_alignment_ends_however_small_the_reported_covariance_is() -> None:
     begins_s: list[float] = []
     pooled: list[float] = []
-    for seed in (0, 2, 3):
+    for seed in (0, 1, 2, 8):
         flight = simulated(FLIGHT, seed=seed)
         run: Run = fly(flight, messages=[_overconfident(m, 100.0) if isinstance(m, PoseFix) else m for m in flight.messages])
         begins_s.append((run.estimates[0].t_ns - EPOCH_NS) * 1e-9)
@@ -111,6 +111,5 @@ def test_the_alignment_ends_however_small_the_reported_covariance_is() -> None:
         off = np.array([error(e, flight.truth)[E.P] for e in late])
         pooled += [float(d @ np.linalg.solve(e.covariance[E.P, E.P], d)) / 3.0 for d, e in zip(off, late, strict=True)]
         assert np.sqrt((off**2).sum(axis=1).mean()) < 0.5
-    assert np.median(begins_s) < 10.0
-    assert max(begins_s) < 20.0
+    assert max(begins_s) < 9.0
     assert 0.1 < np.mean(pooled) < 1.5

@@ -9,9 +9,10 @@ from msgspec.structs import replace
 from estimator.filter.eskf import Innovation
 from estimator.filter.mismatch.bias_walk import BiasWalk
 from models.imu import ImuNoise
-from models.messages import Array, GnssFix, ImuSample, Input, vec3
+from models.messages import Array, GnssFix, ImuSample, Input, PoseFix, vec3
 from models.sim.scenario import EPOCH_NS
-from tests.estimator.scenes import SECOND, fly, position_errors, simulated, within
+from models.state import E
+from tests.estimator.scenes import SECOND, error, fly, position_errors, simulated, within
 
 NOISE = ImuNoise(gyro_walk=1e-5, accel_walk=1e-4)
 
@@ -51,6 +52,30 @@ def test_innovations_that_follow_one_another_raise_it_and_it_comes_back() -> Non
     assert larger.accel_walk > 10.0 * NOISE.accel_walk
     right = _after(wrong, _white(2000, 1.0))
     assert right.factor == 1.0
+
+
+def _first_rise(innovations: Array) -> float:
+    """The first factor above one, with two innovations a second."""
+    walk = BiasWalk()
+    for k, nu in enumerate(innovations):
+        walk = walk.also("/fix", EPOCH_NS + k * SECOND // 2, _seen(nu), 1.0)
+        if walk.factor > 1.0:
+            break
+    return walk.factor
+
+
+def test_what_is_surely_wrong_raises_it_a_hundred_times_at_once_and_what_is_likely_wrong_ten_times() -> None:
+    off = np.array([2.0, -1.5, 0.0, 0.0, 1.0, 0.0])
+    assert _first_rise(np.concatenate((_white(20), _white(30, 0.3) + 2.0 * off))) == 100.0
+    gently = np.linspace(0.0, 1.0, 60)[:, None] * off
+    assert sorted({_first_rise(_white(60, 0.9, seed) + gently) for seed in range(10)}) == [10.0, 100.0]
+
+
+def test_the_biases_have_walked_before_it_was_noticed() -> None:
+    noticed = BiasWalk(factor=100.0).walked(BiasWalk(), NOISE)
+    assert noticed[:3] == pytest.approx(math.sqrt(5.0 * 99.0) * NOISE.gyro_walk)
+    assert noticed[3:] == pytest.approx(math.sqrt(5.0 * 99.0) * NOISE.accel_walk)
+    assert not BiasWalk().walked(BiasWalk(factor=100.0), NOISE).any()
 
 
 def test_small_innovations_in_one_direction_are_no_error() -> None:
@@ -106,6 +131,28 @@ def test_a_gyroscope_that_warms_up_costs_decimetres_and_no_more() -> None:
     factor, rmse_m = _walk_of([warming(m) for m in flight.messages if "gnss" not in type(m).__name__.lower()], 1)
     assert factor > 1e2
     assert rmse_m < 0.6
+
+
+@pytest.mark.parametrize("seed", [2, 3, 4])
+def test_a_slow_ramp_is_found_before_an_outage_and_its_covariance_covers_the_error(seed: int) -> None:
+    """0.5 degrees a second per minute, no fixes for the last 10 s."""
+    axis = np.random.default_rng(seed).normal(size=3)
+    ramp = math.radians(0.5) / 60.0 * axis / np.linalg.norm(axis)
+
+    def warming(m: Input) -> Input:
+        return replace(m, gyro_b=vec3(np.array(m.gyro_b) + (m.t_ns - EPOCH_NS) * 1e-9 * ramp)) if isinstance(m, ImuSample) else m
+
+    flight = simulated(FLIGHT.replace("90.0", "50.0"), seed=seed)
+    dark_ns = EPOCH_NS + 40 * SECOND
+    run = fly(
+        flight,
+        messages=[
+            warming(m) for m in flight.messages if isinstance(m, ImuSample) or (isinstance(m, PoseFix) and m.t_ns < dark_ns)
+        ],
+    )
+    last = run.estimates[-1]
+    off = error(last, flight.truth)[E.P]
+    assert off @ np.linalg.solve(last.covariance[E.P, E.P], off) < 4.0
 
 
 def test_readings_of_a_receiver_do_not_raise_it_for_a_receiver_may_be_pulled_off() -> None:
