@@ -144,6 +144,7 @@ class Hypotheses:
         set_aside = left_out.is_confirmed(self.members[0], aid)
         believer = self._believer(aid, z, gyro_b, seen[0]) if aid.absolute and not any(passed) and not set_aside else None
         born: list[Hypothesis] = []
+        anew = aid.absolute and not set_aside and not passed[0] and aid.topic not in self.members[0].doubts
         agreement = self._agreement(aid, seen, passed)
         doubted = self._doubted(aid, agreement)
         # A receiver is right or wrong in both: where its positions are doubted, its velocities are no evidence.
@@ -175,6 +176,8 @@ class Hypotheses:
             elif passed[k] and not set_aside and not aid.receiver:
                 member.without = ""  # no other one follows the receiver, which agrees: it is judged again
                 answer(k)
+        if anew and not believer:
+            self._let_believe(aid, fused)
         at_fix = left_out.moved(self.members[0], aid, z, gyro_b, seen[0]) if believer and self.members[0].receiver else None
         for member, was_fused in zip(self.members, fused, strict=True):
             doubt = member.doubts.get(aid.topic)
@@ -184,7 +187,7 @@ class Hypotheses:
         self.members += born + ([believer] if believer else [])
         if at_fix:
             left_out.add_at_fix(self.members, at_fix, aid)
-        self._rank(aid.t_ns)
+        self._rank(aid.t_ns, believer)
         return Verdict(seen[0], limit, passed[0], fused[0], foreseen=any(passed) or set_aside)
 
     def _forgo_breadth(self, seen: list[Innovation], gained: dict[int, float], fused: list[bool]) -> None:
@@ -348,7 +351,10 @@ class Hypotheses:
         )
 
     def _believer(self, aid: Aid, z: Measurement, gyro_b: Array, seen: Innovation) -> Hypothesis | None:
-        """The leading hypothesis gone wrong: fuses what contradicts it, as much less certain as the contradiction is large."""
+        """The leading hypothesis gone wrong: fuses what contradicts it, as much less certain as the contradiction is large.
+
+        It goes on for one that fused the last fix and rejects this one: fixes that drift are the same evidence.
+        """
         if not math.isfinite(seen.distance2):
             return None
         believer = self.members[0].copy()
@@ -358,18 +364,33 @@ class Hypotheses:
             math.log(_OVERCONFIDENT_SHARE) + seen.log_likelihood
             + 0.5 * seen.distance2 * (1.0 - 1.0 / _OVERCONFIDENT) - 0.5 * dof * math.log(_OVERCONFIDENT)
         )  # fmt: skip
-        patience_s = self.members[0].patience_s(aid.t_ns, aid.hypothetical.reset_after_s)
-        broken = aid.log_false + _MARGIN - patience_s / aid.hypothetical.fault_s
         most = aid.log_false + _MARGIN - _LEAST_CONTRADICTION_S / aid.hypothetical.fault_s
-        believer.weight += min(max(overconfident, broken), most)
+        believer.weight += min(max(overconfident, self._broken(aid)), most)
+        earlier = max((m.weight for m in self.members[1:] if aid.topic not in m.doubts and not m.without), default=-math.inf)
+        believer.weight = max(believer.weight, earlier + aid.log_false)
         believer.fused_ns = believer.established_ns = believer.parted_ns = aid.t_ns
         believer.doubts.pop(aid.topic, None)
         believer.filter.widen(math.sqrt(seen.distance2 / dof))
         believer.filter.update(innovation(believer.filter, aid, z, gyro_b))
         return believer
 
-    def _rank(self, t_ns: int) -> None:
-        """Let the heaviest lead if its margin is enough; drop those that are far behind or no longer differ."""
+    def _let_believe(self, aid: Aid, fused: list[bool]) -> None:
+        """The leading hypothesis has begun to reject fixes that another one fuses: that one stands for the believer."""
+        others = [m for m, was_fused in zip(self.members, fused, strict=True) if was_fused and not m.without]
+        if others:
+            best = max(others, key=lambda m: m.weight)
+            best.weight = max(best.weight, self.members[0].weight - aid.log_false + self._broken(aid))
+
+    def _broken(self, aid: Aid) -> float:
+        """ln of the weight of "the leading filter is wrong", with which consistent fixes win after its patience."""
+        patience_s = self.members[0].patience_s(aid.t_ns, aid.hypothetical.reset_after_s)
+        return aid.log_false + _MARGIN - max(patience_s, _LEAST_CONTRADICTION_S) / aid.hypothetical.fault_s
+
+    def _rank(self, t_ns: int, believer: Hypothesis | None = None) -> None:
+        """Let the heaviest lead if its margin is enough; drop those that are far behind or no longer differ.
+
+        A believer that has just begun takes the place of the last of too many: all of them have rejected the fix.
+        """
         if len(self.members) == 1:  # most of the time
             self.members[0].weight = 0.0
             if self.conflict_ns is not None:
@@ -386,6 +407,8 @@ class Hypotheses:
         kept = [m for m in others if m.without and (t_ns - m.fused_ns) * 1e-9 < LEFT_OUT_S]
         others = [m for m in others if not m.without and m.matters_beside(lead) and not m.has_settled(t_ns)]
         others.sort(key=lambda m: -(m.weight + m.benefit))
+        if believer in others[_MOST - 1 :]:
+            others[_MOST - 2] = believer
         self.members = [lead, *others[: _MOST - 1], *kept]
         top = lead.weight
         for member in self.members:

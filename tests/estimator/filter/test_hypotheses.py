@@ -351,6 +351,54 @@ def test_a_sceptic_gains_nothing_on_the_leading_one_by_a_fix_that_both_reject() 
     assert believer.weight - lead.weight > -8.0
 
 
+def _judge(bank: Hypotheses, p_n: Vec3) -> None:
+    aid = aid_of(pose_fix(EPOCH_NS, p_n))
+    z = aid.measurement(None)
+    assert z is not None
+    bank.judge(aid, z, np.zeros(3), trusted=True)
+
+
+def _rejecting(*p: float, weight: float = 0.0) -> Hypothesis:
+    member = _member(_state(*p), weight=weight)
+    member.doubts["/pose_fix"] = Doubt(EPOCH_NS - SECOND // 2, deliberate=False)
+    return member
+
+
+@pytest.mark.parametrize(("earlier", "expected"), [(-1.2, -1.2), (-15.0, 3.0 - 20.0 / 1.5)])
+def test_a_believer_goes_on_for_one_that_fused_the_last_fix_and_rejects_this_one(earlier: float, expected: float) -> None:
+    """Fixes that drift are the same evidence: before, each believer began anew, and the leading one stayed for half a minute."""
+    bank = Hypotheses([_rejecting(0.0, 0.0, 0.0), _member(_state(40.0, 0.0, 0.0), weight=earlier)])
+    _judge(bank, (48.0, 0.0, 0.0))
+    newest = [m for m in bank.members if "/pose_fix" not in m.doubts]
+    assert [m.weight for m in newest] == [pytest.approx(expected, abs=1e-6)]
+
+
+def test_a_believer_takes_the_place_of_the_last_of_too_many_that_reject_the_fix() -> None:
+    """Before, four that had all gone wrong left no place for one that is right."""
+    bank = Hypotheses([_rejecting(0.0, 0.0, 0.0), *(_rejecting(20.0 * k, 0.0, 0.0, weight=2.5 - 0.1 * k) for k in (1, 2, 3))])
+    _judge(bank, (0.0, 90.0, 0.0))
+    assert [round(float(m.filter.x[X.P][0])) for m in bank.members] == [0, 20, 40, 0]
+    assert bank.members[-1].filter.x[X.P][1] > 80.0
+
+
+@pytest.mark.parametrize(("unaided_s", "patience_s"), [(0.0, 20.0), (30.0, 5.0)])
+def test_an_unlikely_hypothesis_that_fuses_what_the_leading_one_rejects_stands_for_the_believer(
+    unaided_s: float, patience_s: float
+) -> None:
+    """Before, it kept its weight, and true fixes were rejected for the rest of a minute. The second fix in a row is no news."""
+    lead, unlikely = _member(_state(0.0, 0.0, 0.0)), _member(_state(25.0, 0.0, 0.0), sigma=30.0, weight=-18.0)
+    lead.fused_ns -= round(unaided_s * SECOND)
+    lead.established_ns = lead.fused_ns - 60 * SECOND
+    bank = Hypotheses([lead, unlikely])
+    for k, patience_left_s in ((0, patience_s), (1, patience_s - 0.5)):
+        aid = aid_of(pose_fix(EPOCH_NS + k * SECOND // 2, (20.0, 0.0, 0.0)))
+        z = aid.measurement(None)
+        assert z is not None
+        assert not bank.judge(aid, z, np.zeros(3), trusted=True).fused
+        assert bank.members[1].weight - lead.weight == pytest.approx(3.0 - patience_left_s / 1.5, abs=1e-6)
+    np.testing.assert_allclose(unlikely.filter.x[X.P], (20.0, 0.0, 0.0), atol=0.5)
+
+
 def test_a_hypothesis_that_rejects_a_reading_it_predicts_does_not_predict_the_next_one() -> None:
     """The leading filter and another doubt a velocity that a third one foresees; that the second foresees it too is no news."""
     lead, doubter, believer = (_member(_state(0.0, 0.0, 0.0), weight=w) for w in (0.0, -6.0, -14.0))
