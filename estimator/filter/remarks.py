@@ -59,7 +59,9 @@ def delays(found: Delays, hypotheses: Hypotheses | None) -> list[str]:
 
 
 def variance(factor: float) -> list[str]:
-    """Whether innovations are larger than configured."""
+    """Whether innovations are larger than configured, or were lately."""
     if factor < _WORTH_SAYING:
         return []
-    return [f"innovations are {math.sqrt(factor):.1f} times as large as configured: the covariance is widened"]
+    return [
+        f"innovations of the last minutes are {math.sqrt(factor):.1f} times as large as configured: the covariance is widened"
+    ]

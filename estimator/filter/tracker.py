@@ -103,6 +103,8 @@ class Tracker(Alignment):
         bank = self.bank
         assert bank is not None
         cov = bank.covariance() if self.is_aligned else covariance(bank, self.config.initialise)
+        if self.variance_factor.lasting > self.variance_factor.value:
+            cov *= self.variance_factor.lasting / self.variance_factor.value
         if self.conflicts.apart:
             cov[E.P, E.P] += self.conflicts.added(is_decided=self.is_aligned)
         if self.late_cov is not None:
@@ -155,7 +157,7 @@ class Tracker(Alignment):
             *remarks.units(self.path_scale, self.absolute),
             *remarks.drifts(self.sources),
             *remarks.delays(self.delays, self.hypotheses),
-            *remarks.variance(self.variance_factor.value),
+            *remarks.variance(self.variance_factor.lasting),
         ]
 
     def _conflict(self) -> str:

@@ -49,6 +49,7 @@ class Snapshot(NamedTuple):
     absolute_age_s: float
     positions: Mapping[str, Position]
     single: bool  # the hypotheses are in the covariance already
+    variance_factor: float = 1.0  # of what is published
 
 
 class Fault(NamedTuple):
@@ -92,7 +93,7 @@ def _weighed(now: Snapshot) -> Iterator[Fault]:
     whole = 1.0 + sum(math.exp(m.weight + m.benefit) for m in others)
     yield Fault("nominal errors", 1.0 / whole, 0.0, sigma_h, 0.0, sigma_v)
     for member in others:
-        yield _separated(_said(member, lead), math.exp(member.weight + member.benefit) / whole, member, lead)
+        yield _separated(_said(member, lead), math.exp(member.weight + member.benefit) / whole, member, now)
 
 
 def _is_spare(member: Hypothesis) -> bool:
@@ -144,7 +145,7 @@ def _without(
     lead = now.hypotheses.members[0]
     for member in now.hypotheses.members[1:]:
         if member.without == topic and _is_confirmed(member, topic, now):
-            f = _separated("", 0.0, member, lead)
+            f = _separated("", 0.0, member, now)
             yield f.offset_h, f.sigma_h, f.offset_v, f.sigma_v, _t2(f)
     rejected = lead.rejected if config.exclude_rejected else ()
     for other, seen in now.positions.items():
@@ -163,10 +164,10 @@ def _is_confirmed(member: Hypothesis, topic: str, now: Snapshot) -> bool:
     return any(seen.t_ns >= member.fused_ns for seen in others)
 
 
-def _separated(name: str, probability: float, member: Hypothesis, lead: Hypothesis) -> Fault:
+def _separated(name: str, probability: float, member: Hypothesis, now: Snapshot) -> Fault:
     """The error of the leading hypothesis if `member` is right."""
-    n, e, d = (member.filter.x[X.P] - lead.filter.x[X.P]).tolist()
-    sigma_h, sigma_v = _sigmas(member.filter.variance_factor * member.filter.cov[E.P, E.P])
+    n, e, d = (member.filter.x[X.P] - now.hypotheses.lead.x[X.P]).tolist()
+    sigma_h, sigma_v = _sigmas(now.variance_factor * member.filter.cov[E.P, E.P])
     return Fault(name, probability, math.hypot(n, e), sigma_h, abs(d), sigma_v)
 
 

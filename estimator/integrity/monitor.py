@@ -117,12 +117,12 @@ class Monitor:
         if shown is None or not shown.lead.sound:
             return None
         single = not tracker.is_aligned or tracker.without_sensor is not None
-        lead = shown.lead
-        covariance = tracker.shown_covariance()[E.P, E.P] if single else lead.variance_factor * lead.cov[E.P, E.P]
+        factor = tracker.variance_factor.lasting
+        covariance = tracker.shown_covariance()[E.P, E.P] if single else factor * shown.lead.cov[E.P, E.P]
         age_s = (t_ns - tracker.last_absolute_ns) * 1e-9 if tracker.last_absolute_ns >= 0 else math.inf
         for topic in [k for k, p in self._positions.items() if (t_ns - max(p.t_ns, p.fused_ns)) * 1e-9 > IN_USE_S]:
             del self._positions[topic]
-        return faults(Snapshot(t_ns, shown, covariance, max(age_s, 0.0), self._positions, single), self._config)
+        return faults(Snapshot(t_ns, shown, covariance, max(age_s, 0.0), self._positions, single, factor), self._config)
 
     def _reason(self, found: list[Fault], at_risk: Levels) -> str:
         """Which limit is exceeded, and the fault that contributes most."""

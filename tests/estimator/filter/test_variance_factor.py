@@ -1,10 +1,13 @@
 """The variance of unit weight: it follows errors that are larger than they claim, and neither false fixes nor good ones."""
 
+import math
+
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from estimator.filter.variance_factor import NO_EXCESS, VarianceFactor
-from models.messages import PoseFix, Reason
+from models.messages import PoseFix, Reason, vec3
 from models.sim.scenario import EPOCH_NS
 from models.state import E
 from tests.estimator.scenes import SECOND, Run, error, fly, simulated, within
@@ -78,6 +81,35 @@ def test_it_fades() -> None:
         if k == 20:
             assert 2.0 < factor.value < 0.6 * raised.value
     assert factor.value < 1.02
+
+
+def test_what_is_published_keeps_it_four_times_as_long() -> None:
+    raised = _noted([70.0] * 5 + [5.0] * 8)  # the median is usual again
+    factor = raised
+    for k in range(60):
+        factor = factor.also("/pose_fix", raised.t_ns + (1 + k) * SECOND, 5.0, 6)
+    assert factor.value - 1.0 == pytest.approx((raised.value - 1.0) * math.exp(-60.0 / 30.0))
+    assert factor.lasting - 1.0 == pytest.approx((raised.lasting - 1.0) * math.exp(-60.0 / 120.0))
+
+
+def test_after_fixes_that_were_bad_for_a_while_the_covariance_stays_wide_and_the_gate_does_not() -> None:
+    """Noise of 0.6 m from 10 to 20 s, 0.15 m as configured before and after."""
+    flight, rng = simulated(FLIGHT.replace("60.0", "75.0").replace("outages_s", "# outages_s"), seed=1), np.random.default_rng(0)
+
+    def worse(fix: PoseFix) -> PoseFix:
+        if not 10.0 < (fix.t_ns - EPOCH_NS) * 1e-9 < 20.0:
+            return fix
+        return replace(fix, p_n=vec3(fix.p_n + rng.normal(0.0, 0.6, 3)))
+
+    run = fly(flight, messages=[worse(m) if isinstance(m, PoseFix) else m for m in flight.messages])
+    tracker = run.fusion._history.advance(run.estimates[-1].t_ns)
+    factor = tracker.variance_factor
+    assert 1.0 < factor.value < 0.5 * factor.lasting
+    assert tracker.hypotheses is not None
+    lead = tracker.hypotheses.lead
+    assert lead.variance_factor == factor.value
+    shown = np.trace(tracker.shown_covariance()[E.P, E.P])  # a sceptic adds a little
+    assert shown == pytest.approx(factor.lasting * np.trace(lead.cov[E.P, E.P]), rel=0.05)
 
 
 def _overconfident(fix: PoseFix, factor: float) -> PoseFix:
