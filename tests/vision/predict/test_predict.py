@@ -178,7 +178,7 @@ def test_one_landmark_of_a_map_that_a_program_picked_is_no_fix_however_often_it_
 
 def test_what_moved_since_a_program_picked_it_gives_no_false_fix() -> None:
     """A lorry, learnt from a flight, is 4 m from where it stood: alone it looks like an error of the position."""
-    moved = msgspec.structs.replace(MARKS[0], outline_n=MARKS[0].outline_n + (4.0, 0.0))
+    moved = msgspec.structs.replace(MARKS[0], outline_n=MARKS[0].outline_n + np.array([4.0, 0.0]))
     view = look_at(MARKS, np.array([0.0, 0.0, -40.0]), shown=(moved, *MARKS[1:]))
     results = {}
     for marks, automatic in ((MARKS[:1], False), (MARKS[:1], True), (MARKS, True)):
