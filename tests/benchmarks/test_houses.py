@@ -1,4 +1,4 @@
-"""Footprints out of masks, roofs out of a city model, decoys, and the naive search that the benchmark of real houses compares with."""
+"""Footprints out of masks, roofs out of a city model, decoys, and the naive search that real houses are compared with."""
 
 from pathlib import Path
 
