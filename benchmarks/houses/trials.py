@@ -3,7 +3,7 @@
 import functools
 import math
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import cv2
@@ -13,10 +13,12 @@ import numpy as np
 from benchmarks.aerial.trials import Case, Spread, Trial, nadir_rig, run
 from benchmarks.flights.tasks import data_folder
 from benchmarks.houses.tiles import FOCAL_PX, Tile, elsewhere, tiles
+from models.camera import StereoRig
 from models.maps.landmarks import Landmark
 from models.messages import Array
 from models.radius import horizontal_radius
 from vision.identify.identify import Prior
+from vision.image.rectify import Image
 from vision.show.overlay import draw_overlay
 
 OUT = Path(__file__).resolve().parents[2] / "out" / "houses"
@@ -69,7 +71,7 @@ def answer(job: Job) -> Answer:
     outcome, result = run(Trial(case, k, prior), "predict")
     base = Answer(group, name, kind, len(marks), outcome.outcome, outcome.detail, outcome.cpu_s)
     if kind == "true":
-        base = msgspec.structs.replace(base, naive_m=_off(tile, marks, naive(tile, marks, prior), prior.R_nb))
+        base = msgspec.structs.replace(base, naive_m=_off(tile, marks, naive(tile.image, rig, marks, prior), prior.R_nb))
     if drawn:
         pose = (prior.p_n, prior.R_nb) if result.pose is None else (result.pose.joint_p_n, result.pose.joint_R_nb)
         image = draw_overlay(tile.image, rig.left, *rig.camera_pose(*pose), list(case.landmarks), (), (), [outcome.outcome])
@@ -84,12 +86,12 @@ def answer(job: Job) -> Answer:
     )  # fmt: skip
 
 
-def naive(tile: Tile, marks: tuple[Landmark, ...], prior: Prior) -> Array:
+def naive(image: Image, rig: StereoRig, marks: Sequence[Landmark], prior: Prior) -> Array:
     """p_n where the outlines, drawn from the prior, correlate best with the image's Sobel magnitude, within 3 sigma: no check."""
-    camera, R_nc = tile.camera, nadir_rig(tile.camera).camera_pose(prior.p_n, prior.R_nb)[1]
-    scale = float(-prior.p_n[2]) / FOCAL_PX
+    camera, R_nc = rig.left, rig.camera_pose(prior.p_n, prior.R_nb)[1]
+    scale = float(np.median([mark.base_d for mark in marks]) - prior.p_n[2]) / camera.fx
     reach = math.ceil(3.0 * math.sqrt(float(prior.covariance[0, 0])) / scale)
-    grey = cv2.cvtColor(tile.image, cv2.COLOR_BGR2GRAY)
+    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     slope = cv2.magnitude(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
     lines = np.zeros(grey.shape, np.uint8)
     for mark in marks:

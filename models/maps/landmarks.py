@@ -99,7 +99,7 @@ class LandmarkMap:
     """Landmarks around an origin (lat_deg, lon_deg, alt_m above the ellipsoid), with a spatial index.
 
     report: what was found while reading the file it comes from; common_sigma_m: by how much all of it may be shifted, horizontal
-    and vertical standard deviation, beside what each landmark says of itself; automatic: picked from an image by a program and
+    and vertical standard deviation, beside what each landmark says of itself; automatic: picked from images by a program and
     checked by nobody, so that one of its landmarks alone founds no fix.
     """
 

@@ -1,8 +1,12 @@
-"""Footprints out of masks, decoys, and the naive search that the benchmark of real houses compares with."""
+"""Footprints out of masks, roofs out of a city model, decoys, and the naive search that real houses are compared with."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.aerial.trials import nadir_rig
+from benchmarks.houses.lod_loc import roofs
 from benchmarks.houses.tiles import Tile, elsewhere, footprints
 from benchmarks.houses.trials import naive
 from models.messages import Array
@@ -51,5 +55,21 @@ def test_a_decoy_has_the_same_houses_elsewhere(kind: str) -> None:
 def test_the_naive_search_finds_boxes_of_one_colour() -> None:
     here, off = tile(), np.array([6.0, -9.0, 0.0])
     prior = Prior(here.p_n + off, np.array([1.0, 0.0, 0.0, 0.0]), np.diag([25.0, 25.0, 1.0, 1e-4, 1e-4, 1e-4]))
-    found: Array = naive(here, here.marks, prior)
+    found: Array = naive(here.image, nadir_rig(here.camera), here.marks, prior)
     assert float(np.linalg.norm(found - here.p_n)) < 1.0
+
+
+def test_a_roof_of_a_city_model_stands_on_its_own_ground(tmp_path: Path) -> None:
+    """Two boxes, east north up, of 10 m x 6 m, 4 and 9 m high on ground of 20 and 30 m; the second one is far away."""
+    lines = []
+    for east, ground, height in ((100.0, 20.0, 4.0), (900.0, 30.0, 9.0)):
+        for up in (ground, ground + height):
+            lines += [f"v {east + x} {50.0 + y} {up}" for x, y in ((0.0, 0.0), (10.0, 0.0), (10.0, 6.0), (0.0, 6.0))]
+    for first in (1, 9):
+        top = [first + k for k in range(4, 8)]
+        walls = [(first + k, first + (k + 1) % 4, top[(k + 1) % 4], top[k]) for k in range(4)]
+        lines += [f"f {' '.join(f'{i}/{i}/1' for i in face)}" for face in (*walls, top, range(first + 3, first - 1, -1))]
+    (tmp_path / "model.obj").write_text("# two boxes\n" + "\n".join(lines))
+    (roof,) = roofs(tmp_path / "model.obj", np.array([50.0, 100.0]))
+    assert (roof.base_d, roof.roof_d, roof.size_m2) == pytest.approx((-20.0, -24.0, 60.0))
+    assert roof.centre_n == pytest.approx((53.0, 105.0))

@@ -46,7 +46,7 @@ DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("tutorial_*.md"))]
 ALL_PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
 IMAGE_MIDDLE = 33.638396, -84.478936  # of the satellite image
-DJI_0034 = 46.842636, -91.993568  # by SIFT in the orthophoto
+DJI_0033 = 46.842547, -91.993694  # by SIFT in the orthophoto
 BOARD = Board(9, 6, 0.025)
 LEFT = CameraModel(320, 240, 270.0, 271.0, 158.0, 121.0, (-0.2, 0.05, 0.0, 0.0))
 RIG = StereoRig(LEFT, LEFT, np.eye(3), np.array([-0.06, 0.0, 0.0]), np.eye(3), np.zeros(3))
@@ -148,7 +148,7 @@ def a_satellite_image_and_a_photo(folder: Path) -> None:
         pytest.skip("the public images are not here (LANDFIX_DATA)")
     for name in ("geotiff_labels.geojson", "sample_geotiff.tif"):
         (folder / name).symlink_to(data / spacenet.FOLDER / name)
-    tagged(data, "DJI_0034.jpg", folder).rename(folder / "DJI_0034.JPG")
+    tagged(data, "DJI_0033.jpg", folder).rename(folder / "DJI_0033.JPG")
     (folder / "benchmarks").symlink_to(ROOT / "benchmarks")
 
 
@@ -180,11 +180,16 @@ def mapped(folder: Path, said: str) -> None:
     assert (folder / "out/tutorial/map.png").stat().st_size > 20_000
 
 
+def apart_m(place: tuple[float, float], other: tuple[float, ...]) -> float:
+    """Between a latitude and longitude and others near by."""
+    scale = 111_200.0 * np.array([1.0, np.cos(np.radians(other[0]))])
+    return float(np.linalg.norm(scale * np.subtract(place, other[:2])))
+
+
 def located(folder: Path, said: str) -> None:
     true = json.loads((folder / "truth.json").read_text())
     lat, lon = (float(re.findall(rf"{name} +(-?[\d.]+) deg", said)[-1]) for name in ("latitude", "longitude"))
-    off_m = np.hypot((lat - true[0]) * 111_200.0, (lon - true[1]) * 111_200.0 * np.cos(np.radians(lat)))
-    assert off_m < 1.5
+    assert apart_m((lat, lon), true) < 1.5
     assert (folder / "seen.png").stat().st_size > 100_000
 
 
@@ -192,9 +197,8 @@ def twice_located(folder: Path, said: str) -> None:
     """The satellite image where its own coordinates have it, the photo where SIFT and the orthophoto do."""
     lat, lon = ([float(x) for x in re.findall(rf"{name} +(-?[\d.]+) deg", said)] for name in ("latitude", "longitude"))
     places = list(zip(lat, lon, strict=True))  # of each: by the image alone, with the prior
-    for (north, east), true, off_m in ((places[1], IMAGE_MIDDLE, 2.0), (places[3], DJI_0034, 2.8)):
-        scale = 111_200.0 * np.cos(np.radians(true[0]))
-        assert np.hypot((north - true[0]) * 111_000.0, (east - true[1]) * scale) < off_m
+    for (north, east), true, off_m in ((places[1], IMAGE_MIDDLE, 2.0), (places[3], DJI_0033, 2.0)):
+        assert apart_m((north, east), true) < off_m
     assert "OpenStreetMap contributors" in (folder / "atlanta.geojson").read_text()
     assert (folder / "satellite.png").stat().st_size > 100_000
     assert (folder / "photo.png").stat().st_size > 100_000
@@ -223,24 +227,40 @@ GIVES: dict[str, Callable[[Path, str], None]] = {
 }
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "sh")], ids=lambda p: p.stem)
-def test_every_command_works_as_it_is_written(page: Path, tmp_path: Path) -> None:
+def typed(page: Path, tmp_path: Path) -> str:
+    """What the commands of a page print, one after the other."""
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     programs = tmp_path / "bin"
     programs.mkdir()
     program = programs / "landfix"
     program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m estimator "$@"\n')
     program.chmod(0o755)
-    if page.stem in BROUGHT:
-        BROUGHT[page.stem](tmp_path)
     script = "\n".join(["set -eu", *blocks(page, "sh")])
     paths = {"PATH": f"{programs}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "COLUMNS": "150"}
     bash = shutil.which("bash")
     assert bash
     done = subprocess.run([bash, "-c", script], cwd=tmp_path, env=os.environ | paths, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
+    return done.stdout
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "sh")], ids=lambda p: p.stem)
+def test_every_command_works_as_it_is_written(page: Path, tmp_path: Path) -> None:
+    if page.stem in BROUGHT:
+        BROUGHT[page.stem](tmp_path)
+    said = typed(page, tmp_path)
     if page.stem in GIVES:
-        GIVES[page.stem](tmp_path, done.stdout)
+        GIVES[page.stem](tmp_path, said)
+
+
+def test_the_three_commands_locate_the_real_photo_that_the_page_shows(tmp_path: Path) -> None:
+    data = data_folder()
+    if not (data / brighton.FOLDER).is_dir():
+        pytest.skip("the public images are not here (LANDFIX_DATA)")
+    tagged(data, "DJI_0033.jpg", tmp_path).rename(tmp_path / "DJI_0001.JPG")
+    (tmp_path / "footprints.geojson").symlink_to(brighton.MAP_FILE)
+    (tmp_path / "truth.json").write_text(json.dumps(DJI_0033))
+    located(tmp_path, typed(DOCS / "tutorial_photo.md", tmp_path))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.stem)

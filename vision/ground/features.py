@@ -122,6 +122,8 @@ def recognise(
     sigma_px = _FEATURE_PX * math.hypot(2.0**level, map_image.pixel_m / grid.camera_m)
     pose, best = (_position(rig, prior.R_nb, px[agree], x_n[agree]), prior.R_nb), None
     for _ in range(2):  # to the matches that agreed, then to all that do
+        if not _far_enough(rig, pose, x_n[agree], map_image).all():
+            return NotRecognised("no_pose", f"points beside the camera, of {len(mine)} matches")
         points = _points(rig, pose, px[agree], x_n[agree], sigma_px, map_image)
         fit = fit_points(rig, points, pose, prior, map_image.shared_sigma, _POINTS)
         if isinstance(fit, str):
@@ -210,14 +212,21 @@ def _position(rig: StereoRig, R_nb: Array, px: Array, x_n: Array) -> Array:
 def _distances(
     rig: StereoRig, pose: tuple[Array, Array], px: Array, x_n: Array, sigma_px: float, map_image: GroundImage
 ) -> Array:
-    """Squared Mahalanobis distance (N,) of the matches from a pose; inf behind the camera."""
+    """Squared Mahalanobis distance (N,) of the matches from a pose; inf behind the camera and beside it."""
     p_nc, R_nc = rig.camera_pose(*pose)
     off = px - rig.left.project((x_n - p_nc) @ R_nc)
-    seen = np.isfinite(off).all(axis=1)
+    seen = np.isfinite(off).all(axis=1) & _far_enough(rig, pose, x_n, map_image)
     result = np.full(len(px), np.inf)
     R = _points(rig, pose, px[seen], x_n[seen], sigma_px, map_image).R
     result[seen] = np.einsum("ni,nij,nj->n", off[seen], np.linalg.inv(R), off[seen])
     return result
+
+
+def _far_enough(rig: StereoRig, pose: tuple[Array, Array], x_n: Array, map_image: GroundImage) -> NDArray[np.bool_]:
+    """Which points (N,) are deeper than what stands on the ground is high: nearer, its lean is not linear in its height."""
+    p_nc, R_nc = rig.camera_pose(*pose)
+    far: NDArray[np.bool_] = (x_n - p_nc) @ R_nc[:, 2] > map_image.heights.unevenness_m
+    return far
 
 
 def _points(rig: StereoRig, pose: tuple[Array, Array], px: Array, x_n: Array, sigma_px: float, map_image: GroundImage) -> Points:

@@ -73,6 +73,8 @@ def fit_points(
     map_sigma: of what all points share: horizontal and of the height [m], and the slope of the ground [rad].
     """
     config = config or PointConfig()
+    if len(points.px) < config.least:
+        return f"{len(points.px)} points fit"
     p_n, R_nb = np.array(start[0], dtype=float), np.array(start[1], dtype=float)
     information: Array = np.linalg.inv(np.asarray(prior.covariance, dtype=np.float64))
     scale = np.sqrt(np.diag(prior.covariance))

@@ -58,6 +58,9 @@ def build(
         str, typer.Option(metavar="COLOURS", help="Of an orthophoto only regions of these colours, as in red,#30a050.")
     ] = "",
     least_m2: Annotated[float, typer.Option(min=0, help="Regions of an orthophoto are at least this large.")] = 4.0,
+    checked: Annotated[
+        bool, typer.Option("--checked", help="You have looked at every landmark: the map is no longer marked automatic.")
+    ] = False,
     json: Json = False,
 ) -> None:
     """Make a map from polygons, or from an orthophoto.
@@ -73,6 +76,7 @@ def build(
       landfix map build pads.geojson -o map.geojson --height-m 0 --sigma-m 0.05 --origin 47.3977,8.5456,488
       landfix map build orthophoto.tif -o map.geojson --least-m2 40
       landfix map build orthophoto.tif -o map.geojson --pick red,white --height-m 0
+      landfix map build learned.geojson -o map.geojson --checked
     """
     from estimator.commands.map.options import colours
     from estimator.map_files import orthophoto
@@ -105,6 +109,7 @@ def build(
             if image.is_grey:
                 note(f"{colour_from} is grey, and so are the colours taken from it")
         report(0.8)
+        the_map.automatic = the_map.automatic and not checked
         alike = marked(the_map)
         if len(the_map):
             out.write_bytes(the_map.to_geojson(alike))
@@ -230,6 +235,8 @@ def _say_built(the_map: "LandmarkMap", alike: "Alike | None", out: Path) -> None
         note("too dense to search for ambiguous landmarks; none are marked")
     elif count := int((alike.count > 0).sum()):
         note(f"{count} of {len(the_map)} landmarks look like another one near by; they are marked (landfix map check lists them)")
+    if the_map.automatic:
+        note("marked automatic: one landmark alone gives no fix until you have checked the map (--checked takes the mark out)")
     if found.doubt:
         note(f"landfix: {found.doubt}")
     _left_out(found)

@@ -31,7 +31,9 @@ def command(
     """Learn a map by flying.
 
     Poses are smoothed from the log's GNSS and IMU. Regions in the images are measured from these poses. A region that is found at
-    the same position in several images becomes a landmark, with its standard deviation. Check the map before you use it.
+    the same position in several images becomes a landmark, with its standard deviation. The map is marked automatic: one landmark
+    alone gives no fix, because what stood still during the flight may have moved. When you have checked it (landfix map show),
+    landfix map build --checked takes the mark out.
 
     \b
     Examples:
@@ -76,6 +78,7 @@ def _print(summary: "LearnSummary", out: Path, *, given: bool) -> None:
         ("images processed", str(summary.images)),
         ("ground", f"{summary.ground_alt_m:.1f} m above the ellipsoid" + ("" if given else ", where the log begins")),
         ("the whole map", f"may be off by {horizontal:.2f} m horizontally, {vertical:.2f} m in height (1 sigma)"),
+        ("automatic", "one landmark alone gives no fix until the map is checked (landfix map build --checked)"),
         *((f"skipped: {reason}", f"{count} images") for reason, count in summary.skipped.items()),
         *((f"left out: {reason}", f"{count} things") for reason, count in summary.left_out.items()),
     ]

@@ -98,11 +98,16 @@ def _contents(the_map: LandmarkMap) -> list[Check]:
     )
     doubt = the_map.report.doubt
     order = judge("coordinates", doubt or "in their order", warn=bool(doubt), advice="exchange latitude and longitude")
+    unchecked = "landmarks were picked by a program: one alone gives no fix"
+    checked = judge(
+        "automatic", unchecked if the_map.automatic else "no", warn=the_map.automatic,
+        advice="look at each (landfix map show), delete what may move, then landfix map build --checked",
+    )  # fmt: skip
     lacks = [
         judge(f"without {name}", str(missing.get(name, 0)), warn=missing.get(name, 0) > 0, advice=advice)
         for name, advice in _MISSING.items()
     ]
-    return [few, rejected, order, *lacks]
+    return [few, rejected, order, checked, *lacks]
 
 
 def _quality(the_map: LandmarkMap, marked: Alike, nested: int, radius_m: float, alike: float) -> list[Check]:

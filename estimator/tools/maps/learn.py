@@ -101,6 +101,7 @@ def learn(
     found = learned(mapper, ground_d, how.keep)
     common = float(np.sqrt(0.5 * np.trace(found.common[:2, :2]))), float(np.sqrt(found.common[2, 2]))
     the_map = LandmarkMap.from_landmarks(origin.lla, found.landmarks, common)
+    the_map.automatic = True  # what stood still during the flight may have moved since
     seen = {mark.id: count for mark, count in zip(found.landmarks, found.seen, strict=True)}
     ground_alt = origin.to_geodetic((0.0, 0.0, ground_d))[2]
     return the_map, LearnSummary(

@@ -1,5 +1,7 @@
 """Recognition by features of a map's image."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -7,7 +9,8 @@ import pytest
 from models import so3
 from models.messages import Array
 from tests.vision.ground import scene
-from vision.ground.features import FeatureConfig, FeatureMap, NotRecognised, Recognised, recognise
+from vision.ground.features import FeatureConfig, FeatureMap, NotRecognised, Recognised, _distances, recognise
+from vision.ground.image import Heights
 from vision.identify.identify import Prior
 from vision.image.rectify import Image
 
@@ -63,6 +66,18 @@ def test_the_reason_for_none_is_reported() -> None:
     few = recognise(scene.RIG, image, prior, known, FeatureConfig(least=2000))
     reasons = [one.reason for one in (blank, far, sky, few) if isinstance(one, NotRecognised)]
     assert reasons == ["no_features", "no_features", "no_ground", "no_features"]
+
+
+@pytest.mark.parametrize("depth_m", [-5.0, -1e-9, 1e-9, 1e-6, 0.1])
+def test_a_point_beside_the_camera_agrees_with_no_pose(depth_m: float) -> None:
+    """A false pose puts one there. How it leans has no bound, and its covariance no inverse."""
+    p_n, R_nb, *_, known = _case(2)
+    p_nc, R_nc = scene.RIG.camera_pose(p_n, R_nb)
+    x_n = p_nc + np.array([[2.0, 1.0, depth_m], [2.0, 1.0, 80.0]]) @ R_nc.T
+    px = np.vstack(([300.0, 200.0], scene.RIG.left.project(np.array([[2.0, 1.0, 80.0]]))))
+    squared = _distances(scene.RIG, (p_n, R_nb), px, x_n, 1.0, replace(known.image, heights=Heights.level(0.0)))
+    assert np.isinf(squared[0])
+    assert squared[1] < 1e-9
 
 
 def test_inliers_in_one_corner_are_no_fix() -> None:

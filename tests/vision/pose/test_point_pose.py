@@ -108,10 +108,14 @@ def test_what_points_share_widens_the_fix(shared: tuple[float, float, float], co
     assert np.diag(grown)[:3].sum() > 0.2 * (0.5**2 if common else np.diag(exact.covariance)[:3].sum())
 
 
-def test_too_few_points_are_no_pose() -> None:
-    x_n = _ground(5)
-    prior = Prior(P_N, Q, np.eye(6))
+@pytest.mark.parametrize("count", [0, 5])
+def test_too_few_points_are_no_pose(count: int) -> None:
+    x_n, prior = _ground(5)[:count], Prior(P_N, Q, np.eye(6))
     answer = fit_points(scene.RIG, _points(x_n, _seen(scene.RIG, x_n, P_N, so3.matrix(Q))), (P_N, so3.matrix(Q)), prior, SHARED)
-    assert answer == "5 points fit"
-    behind = fit_points(scene.RIG, _points(x_n * (1, 1, 0) - (0, 0, 200), np.zeros((5, 2))), (P_N, so3.matrix(Q)), prior, SHARED)
+    assert answer == f"{count} points fit"
+
+
+def test_points_behind_the_camera_are_no_pose() -> None:
+    x_n, prior = _ground(9), Prior(P_N, Q, np.eye(6))
+    behind = fit_points(scene.RIG, _points(x_n * (1, 1, 0) - (0, 0, 200), np.zeros((9, 2))), (P_N, so3.matrix(Q)), prior, SHARED)
     assert behind == "points behind the camera"

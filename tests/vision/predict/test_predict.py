@@ -176,6 +176,23 @@ def test_one_landmark_of_a_map_that_a_program_picked_is_no_fix_however_often_it_
     assert fixes == [True, False, True]
 
 
+def test_what_moved_since_a_program_picked_it_gives_no_false_fix() -> None:
+    """A lorry, learnt from a flight, is 4 m from where it stood: alone it looks like an error of the position."""
+    moved = msgspec.structs.replace(MARKS[0], outline_n=MARKS[0].outline_n + np.array([4.0, 0.0]))
+    view = look_at(MARKS, np.array([0.0, 0.0, -40.0]), shown=(moved, *MARKS[1:]))
+    results = {}
+    for marks, automatic in ((MARKS[:1], False), (MARKS[:1], True), (MARKS, True)):
+        the_map = LandmarkMap.from_landmarks(ORIGIN, marks)
+        the_map.automatic = automatic
+        one = LandmarkPipeline(RIG, the_map, PipelineConfig(path="predict"))
+        results[len(marks), automatic] = one.process(view.left, view.right, 0, drawn(view, 1))
+    false = results[1, False].pose
+    assert false is not None
+    assert np.linalg.norm((view.p_n - false.joint_p_n)[:2]) > 3.0, "what the mark is for"
+    assert results[1, True].fix is None
+    assert_right(results[3, True], view)
+
+
 def test_a_landmark_that_was_pulled_down_is_left_out() -> None:
     view = look_at(MARKS, np.array([0.0, 0.0, -40.0]), shown=MARKS[:2])
     result = pipeline(MARKS).process(view.left, view.right, 0, drawn(view, 1))

@@ -128,6 +128,22 @@ def test_the_map_is_one_that_check_accepts(flown: Path) -> None:
     assert [states[f"without {name}"] for name in ("height_m", "ground_alt_m", "sigma_m", "colour")] == ["ok"] * 4
 
 
+def test_it_is_marked_automatic_until_somebody_has_checked_it(flown: Path, tmp_path: Path) -> None:
+    def automatic(path: Path) -> tuple[bool, str]:
+        states = {c["name"]: c["state"] for c in json.loads(run("map", "check", path, "--json").stdout)["checks"]}
+        return LandmarkMap.from_geojson(path.read_bytes()).automatic, states["automatic"]
+
+    assert automatic(flown / "learned.geojson") == (True, "warn")
+    again, checked = tmp_path / "again.geojson", tmp_path / "checked.geojson"
+    assert "marked automatic" in run("map", "build", flown / "learned.geojson", "-o", again).stderr
+    assert automatic(again) == (True, "warn")
+    run("map", "build", flown / "learned.geojson", "-o", checked, "--checked")
+    assert automatic(checked) == (False, "ok")
+    kept, was = (LandmarkMap.from_geojson(path.read_bytes()) for path in (checked, flown / "learned.geojson"))
+    assert kept.common_sigma_m == was.common_sigma_m
+    assert len(kept) == len(was)
+
+
 def test_without_gps_it_carries_the_flight_and_the_covariance_is_consistent(flown: Path, tmp_path: Path) -> None:
     (tmp_path / "scenario.toml").write_text(FLYING)
     simulated(tmp_path / "scenario.toml", tmp_path / "fly.mcap", 8)
