@@ -30,8 +30,9 @@ _MARGIN = 0.1  # of the image: the middle of the set's first footprint is not ne
 
 
 class Answer(msgspec.Struct, frozen=True):
-    """What became of a trial. kind: of the map. off_m: how far the footprints are put from where they are; error_m: horizontal error
-    of fix and prior; squared: its square over the covariance; radius_m: what is claimed (95 %); naive_m: as off_m, of naive().
+    """What became of a trial. kind: of the map. off_m: how far the footprints are put from where they are; error_m: horizontal
+    error of fix and prior; squared: its square over the covariance; radius_m: what is claimed (95 %); naive_m: as off_m, of
+    naive().
     """
 
     group: str
