@@ -22,7 +22,7 @@ from vision.identify.ambiguity import steps_off
 from vision.identify.constellation import MemoryConfig
 from vision.identify.identify import IdentifyConfig, Prior
 from vision.image.rectify import Image, rectification
-from vision.pose.map_error import with_map_error
+from vision.pose.map_error import on_map, with_map_error
 from vision.pose.pose import PoseConfig
 from vision.predict.pattern import judged, refused
 from vision.predict.predict import PredictConfig, PredictPath
@@ -79,6 +79,7 @@ class LandmarkPipeline:
         images = usable(left, right, self._rig)
         if isinstance(images, str):
             return nothing(t_ns, "no_image", images)
+        prior = on_map(prior, self._map.common_sigma_m)
         near = self._near(prior)
         if not near:
             return nothing(t_ns, "no_landmark_near", images.remark)

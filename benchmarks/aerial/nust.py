@@ -27,7 +27,8 @@ MAP_FILE = Path(__file__).parents[1] / "data" / "nust_helipads.geojson"
 EPSG = 32643
 SPREAD = Spread(7.0, 3.0, math.radians(1.0), math.radians(3.0))
 ROADS_FILE = Path(__file__).parents[1] / "data" / "nust_roads.geojson"
-ROADS, MIRRORED = "NUST, roads", "NUST, roads mirrored"
+RING, STRAIGHT, MIRRORED = "NUST, ring road", "NUST, straight roads", "NUST, roads mirrored"
+_RING_SHARE = 0.2  # of the ring in view, at least
 _EVERY = 6  # registered frames
 BOTH, ONE = "NUST, both helipads", "NUST, one helipad"
 PADS = ("pad west", "pad east")
@@ -60,7 +61,9 @@ def road_trials(data: Path, seed: int, priors: int) -> Iterator[Trial]:
     for number, image in frames(data, sorted(known)[::_EVERY]):
         right = case(number, image, known[number], roads)
         decoy = replace(right, group=MIRRORED, landmarks=_mirrored(roads, right.p_n[:2]))
-        for one in (replace(right, group=ROADS), decoy):
+        where = pose(known[number], roads)
+        ring = np.mean([outline_share(right.rig.left, *where, mark) for mark in roads if mark.id.startswith("ring")])
+        for one in (replace(right, group=RING if ring > _RING_SHARE else STRAIGHT), decoy):
             for k in range(priors):
                 yield Trial(one, k, SPREAD.draw(generator(seed, f"{one.group} {one.name}", k), one.p_n, one.R_nb))
 

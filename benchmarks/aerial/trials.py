@@ -186,7 +186,8 @@ def run(trial: Trial, path: Way) -> tuple[Outcome, Result]:
 
 class Row(msgspec.Struct, frozen=True):
     """Trials of one kind; images: different ones; wrong: accepted and more than 2 m off; right: accepted and not; at_once:
-    share accepted from the first image; sure: share with a 95 % radius of at most 2 m, sure_wrong: of these, beyond 2 m.
+    share accepted from the first image; sure: share with a 95 % radius of at most 2 m, sure_wrong: of these, beyond 2 m;
+    claimed_m: median 95 % radius, inside: how many are within theirs.
     """
 
     group: str
@@ -202,6 +203,8 @@ class Row(msgspec.Struct, frozen=True):
     median_m: float
     p95_m: float
     worst_m: float
+    claimed_m: float
+    inside: int
     cpu_s: float
 
 
@@ -214,5 +217,6 @@ def row(outcomes: Sequence[Outcome]) -> Row:
         outcomes[0].group, outcomes[0].path, len({o.case for o in outcomes}), n, len(error) / n,
         sum(o.accepted and o.at_once for o in outcomes) / n, (len(error) - wrong) / n, wrong,
         sum(o.sure for o in outcomes) / n, sum(o.sure and o.wrong for o in outcomes),
-        median, p95, worst, float(np.median([o.cpu_s for o in outcomes])),
+        median, p95, worst, float(np.median([o.within_m for o in outcomes if o.accepted] or [math.nan])),
+        sum(o.accepted and o.error_m <= o.within_m for o in outcomes), float(np.median([o.cpu_s for o in outcomes])),
     )  # fmt: skip

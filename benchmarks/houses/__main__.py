@@ -2,7 +2,9 @@
 
 Each image is a photo straight down, the map is the footprints in it, the prior is drawn. Three footprints, ten, or all that are
 there; what is judged is how far the fix puts the footprints from where the file has them. Decoys: footprints that are not in the
-image. Half of the sets (tiles.CHOSEN_ON) chose the thresholds of the pattern, the others did not. Results go to out/houses/.
+image. Half of the sets (tiles.CHOSEN_ON) chose the thresholds of the pattern, the others did not. Maps in error (--in-error): all
+footprints 3 m off together, as common_sigma_m says, or every third one by itself, of which the map says nothing. Results go to
+out/houses/.
 """
 
 import argparse
@@ -14,7 +16,7 @@ import numpy as np
 from benchmarks.flights.tasks import data_folder
 from benchmarks.houses.calibration import draw
 from benchmarks.houses.tiles import CHOSEN_ON, FOLDER, is_there
-from benchmarks.houses.trials import OUT, SIZES, Answer, answer, every_tile, jobs
+from benchmarks.houses.trials import DECOYS, IN_ERROR, OUT, SIZES, Answer, answer, every_tile, jobs
 from benchmarks.jobs import run_jobs
 from benchmarks.tables import Table, number
 
@@ -22,7 +24,7 @@ _NEAR_M, _INSIDE_95 = 3.0, 5.991  # chi-square of 2
 
 
 def row(name: str, some: list[Answer]) -> tuple[str, ...]:
-    """Figures of trials with the right map."""
+    """Figures of trials that are no decoys."""
     fixed = [a for a in some if a.accepted]
     off, error, radius, squared = (
         np.array([getattr(a, of) for a in fixed] or [math.nan]) for of in ("off_m", "error_m", "radius_m", "squared")
@@ -51,12 +53,14 @@ def report(answers: list[Answer], sizes: list[int]) -> str:
         for size in (*SIZES, 0):
             some = [a for a, s in sized if s == size and (a.group in CHOSEN_ON) == chosen]
             rows.append(row(f"{title}, {size or 'all'}", [a for a in some if a.kind == "true"]))
-            decoys.append((f"{title}, {size or 'all'}", *_share([a for a in some if a.kind != "true"])))
+            decoys.append((f"{title}, {size or 'all'}", *_share([a for a in some if a.kind in DECOYS])))
     groups = [
         row(f"{g}, all sizes", [a for a in answers if a.group == g and a.kind == "true"]) for g in {a.group: 0 for a in answers}
     ]
+    kinds = [row(kind, [a for a in answers if a.kind == kind]) for kind in ("true", *IN_ERROR)]
     return "\n".join([
         Table("Footprints under real images", COLUMNS, rows).markdown(), Table("By set", COLUMNS, groups).markdown(),
+        Table("By map", COLUMNS, kinds).markdown(),
         Table("Decoys", ("images, footprints", "decoys", "accepted"), decoys).markdown(),
     ])  # fmt: skip
 
@@ -73,8 +77,9 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--priors", type=int, default=3, help="drawn for each image and number of footprints")
     parser.add_argument("--decoys", type=int, default=1, help="of each of four kinds, for each image and number of footprints")
+    parser.add_argument("--in-error", action="store_true", help="maps of which all footprints, or a third, are 3 m off, as well")
     parser.add_argument("--sets", nargs="+", default=None, help="of these only")
-    parser.add_argument("--pictures", action="store_true", help="write an overlay of every trial with the right map")
+    parser.add_argument("--pictures", action="store_true", help="write an overlay of every trial that is no decoy")
     parser.add_argument("--resume", action="store_true", help="keep what was done before")
     parser.add_argument("--processes", type=int, default=1)
     args = parser.parse_args()
@@ -82,7 +87,7 @@ def main() -> None:
         raise SystemExit(f"{data_folder() / FOLDER} not found: see benchmarks/houses/tiles.py for what belongs there")
     OUT.mkdir(parents=True, exist_ok=True)
     every = [t for t in every_tile() if args.sets is None or t.group in args.sets]
-    todo = list(jobs(every, args.seed, args.priors, args.decoys, drawn=args.pictures))
+    todo = list(jobs(every, args.seed, args.priors, args.decoys, drawn=args.pictures, in_error=args.in_error))
     answers = run_jobs(todo, answer, Answer, OUT / "answers.jsonl", processes=args.processes, resume=args.resume)
     text = report(answers, [job[3] for job in todo])
     (OUT / "report.md").write_text(text)

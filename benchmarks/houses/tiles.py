@@ -61,9 +61,9 @@ class Tile:
         """Where the camera is."""
         return np.array([0.0, 0.0, -FOCAL_PX * self.step_m])
 
-    def landmarks(self, marks: tuple[Landmark, ...] | None = None) -> LandmarkMap:
+    def landmarks(self, marks: tuple[Landmark, ...] | None = None, common_sigma_m: float = 0.0) -> LandmarkMap:
         """Some footprints as a map, all by default."""
-        return LandmarkMap.from_landmarks(ORIGIN, self.marks if marks is None else marks)
+        return LandmarkMap.from_landmarks(ORIGIN, self.marks if marks is None else marks, (common_sigma_m, 0.0))
 
 
 def is_there(data: Path) -> bool:
@@ -124,6 +124,14 @@ def elsewhere(tile: Tile, kind: str, others: list[Tile], rng: np.random.Generato
     angle = math.radians(rng.uniform(30.0, 150.0)) * rng.choice([-1.0, 1.0])
     R = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
     return _changed(tile.marks, R, np.zeros(2))
+
+
+def shifted(marks: tuple[Landmark, ...], rng: np.random.Generator, by_m: float, *, together: bool) -> tuple[Landmark, ...]:
+    """The footprints of a map in error: all by_m off in one direction, or every third one in a direction of its own."""
+    bearing = np.full(len(marks), rng.uniform(0.0, 2.0 * math.pi)) if together else rng.uniform(0.0, 2.0 * math.pi, len(marks))
+    off = together | (rng.permutation(len(marks)) % 3 == 0)
+    shift_m = by_m * off[:, None] * np.column_stack((np.cos(bearing), np.sin(bearing)))
+    return tuple(_changed((mark,), np.eye(2), by)[0] for mark, by in zip(marks, shift_m, strict=True))
 
 
 def _changed(marks: tuple[Landmark, ...], A: Array, shift_m: Array) -> tuple[Landmark, ...]:

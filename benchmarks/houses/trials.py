@@ -12,25 +12,29 @@ import numpy as np
 
 from benchmarks.aerial.trials import Case, Spread, Trial, nadir_rig, run
 from benchmarks.flights.tasks import data_folder
-from benchmarks.houses.tiles import FOCAL_PX, Tile, elsewhere, tiles
+from benchmarks.houses.tiles import FOCAL_PX, Tile, elsewhere, shifted, tiles
 from models.camera import StereoRig
 from models.maps.landmarks import Landmark
 from models.messages import Array
 from models.radius import horizontal_radius
 from vision.identify.identify import Prior
 from vision.image.rectify import Image
+from vision.pose.pose import combine
 from vision.show.overlay import draw_overlay
 
 OUT = Path(__file__).resolve().parents[2] / "out" / "houses"
 DECOYS = ("turned", "mirrored", "moved", "another town")
+ALL_OFF, THIRD_OFF = IN_ERROR = ("all shifted", "a third shifted")  # the first map says so (common_sigma_m), the second does not
+OFF_M = 3.0  # of maps in error
 SPREAD = Spread(15.0, 2.0, math.radians(1.0), math.radians(3.0))
 SIZES = (3, 10)  # footprints of a map; and all
 _MARGIN = 0.1  # of the image: the middle of the set's first footprint is not nearer to the border
 
 
 class Answer(msgspec.Struct, frozen=True):
-    """What became of a trial. off_m: how far the footprints are put from where they are; error_m: horizontal error of fix and
-    prior; squared: its square over the covariance; radius_m: what is claimed (95 %); naive_m: as off_m, of naive().
+    """What became of a trial. kind: of the map. off_m: how far the footprints are put from where they are; error_m: horizontal
+    error of fix and prior; squared: its square over the covariance; radius_m: what is claimed (95 %); naive_m: as off_m, of
+    naive().
     """
 
     group: str
@@ -52,7 +56,7 @@ class Answer(msgspec.Struct, frozen=True):
         return self.outcome == "fixed"
 
 
-Job = tuple[str, str, str, int, int, bool]  # group, name, "true" or a decoy, footprints, number, whether an overlay is drawn
+Job = tuple[str, str, str, int, int, bool]  # group, name, kind of the map, footprints, number, whether an overlay is drawn
 
 
 def answer(job: Job) -> Answer:
@@ -63,23 +67,27 @@ def answer(job: Job) -> Answer:
     tile = next(t for t in every if (t.group, t.name) == (group, name))
     rng = np.random.default_rng([k, zlib.crc32(f"{group} {name} {size}".encode())])
     open_m = math.hypot(0.5 * SPREAD.radius_m, SPREAD.level_sigma_rad * FOCAL_PX * tile.step_m)  # the tilt moves the ground too
-    marks = tile.marks if kind == "true" else elsewhere(tile, kind, [t for t in every if t.group != group], rng, open_m)
+    marks = elsewhere(tile, kind, [t for t in every if t.group != group], rng, open_m) if kind in DECOYS else tile.marks
     marks = _some(tile, marks, size, rng)
-    rig = nadir_rig(tile.camera)
-    case = Case(group, name, tile.image, rig, tile.landmarks(marks), tile.p_n, np.eye(3), (), lambda *_: math.nan)
-    prior = SPREAD.draw(rng, tile.p_n, np.eye(3))
+    rig, prior = nadir_rig(tile.camera), SPREAD.draw(rng, tile.p_n, np.eye(3))
+    mapped = shifted(marks, rng, OFF_M, together=kind == ALL_OFF) if kind in IN_ERROR else marks
+    landmarks = tile.landmarks(mapped, OFF_M if kind == ALL_OFF else 0.0)
+    case = Case(group, name, tile.image, rig, landmarks, tile.p_n, np.eye(3), (), lambda *_: math.nan)
     outcome, result = run(Trial(case, k, prior), "predict")
     base = Answer(group, name, kind, len(marks), outcome.outcome, outcome.detail, outcome.cpu_s)
-    if kind == "true":
-        base = msgspec.structs.replace(base, naive_m=_off(tile, marks, naive(tile.image, rig, marks, prior), prior.R_nb))
+    if kind not in DECOYS:
+        base = msgspec.structs.replace(base, naive_m=_off(tile, marks, naive(tile.image, rig, mapped, prior), prior.R_nb))
     if drawn:
         pose = (prior.p_n, prior.R_nb) if result.pose is None else (result.pose.joint_p_n, result.pose.joint_R_nb)
         image = draw_overlay(tile.image, rig.left, *rig.camera_pose(*pose), list(case.landmarks), (), (), [outcome.outcome])
         cv2.imwrite(str(OUT / f"{outcome.outcome} {group} {name} {kind} {size} {k}.png".replace(" ", "_")), image)
-    if result.pose is None:
+    if result.pose is None or result.fix is None:
         return base
-    p_n, R_nb, P = result.pose.joint_p_n, result.pose.joint_R_nb, result.pose.joint_covariance[:2, :2]
-    e = (p_n - tile.p_n)[:2]
+    common = result.fix.covariance_common  # with the map's, which no image shows
+    assert common is not None
+    fit, directions = result.pose, (result.fix.directions, result.fix.readings)
+    p_n, R_nb, covariance = combine(prior, fit.p_n, fit.R_nb, fit.covariance + common, *directions)
+    e, P = (p_n - tile.p_n)[:2], covariance[:2, :2]
     return msgspec.structs.replace(
         base, off_m=_off(tile, marks, p_n, R_nb), error_m=float(np.linalg.norm(e)), squared=float(e @ np.linalg.solve(P, e)),
         radius_m=float(horizontal_radius(P[None])[0]),
@@ -131,12 +139,13 @@ def every_tile() -> list[Tile]:
     return list(tiles(data_folder()))
 
 
-def jobs(every: list[Tile], seed: int, priors: int, decoys: int, *, drawn: bool) -> Iterator[Job]:
-    """Every image with every number of footprints that it has."""
+def jobs(every: list[Tile], seed: int, priors: int, decoys: int, *, drawn: bool, in_error: bool = False) -> Iterator[Job]:
+    """Every image with every number of footprints that it has; in_error: maps in error as well."""
     for tile in every:
         for size in (*(s for s in SIZES if s < len(tile.marks)), 0):
-            for k in range(priors):
-                yield (tile.group, tile.name, "true", size, 1000 * seed + k, drawn)
+            for kind in ("true", *(IN_ERROR if in_error else ())):
+                for k in range(priors):
+                    yield (tile.group, tile.name, kind, size, 1000 * seed + k, drawn)
             for kind in DECOYS:
                 for k in range(decoys):
                     yield (tile.group, tile.name, kind, size, 1000 * seed + k, False)

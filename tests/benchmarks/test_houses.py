@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.aerial.trials import nadir_rig
 from benchmarks.houses.lod_loc import roofs
-from benchmarks.houses.tiles import Tile, elsewhere, footprints
+from benchmarks.houses.tiles import Tile, elsewhere, footprints, shifted
 from benchmarks.houses.trials import naive
 from models.messages import Array
 from vision.identify.identify import Prior
@@ -50,6 +50,14 @@ def test_a_decoy_has_the_same_houses_elsewhere(kind: str) -> None:
     apart = {"another town": 0.0, "moved": 64.0}.get(kind, 5.0)  # 8 times what the prior leaves open
     off = np.linalg.norm([np.subtract(a.centre_n, b.centre_n) for a, b in zip(marks, here.marks, strict=True)], axis=1)
     assert off.max() >= apart
+
+
+@pytest.mark.parametrize(("together", "off"), [(True, [3.0, 3.0, 3.0]), (False, [0.0, 0.0, 3.0])])
+def test_a_map_in_error_is_off_as_a_whole_or_a_third_of_it_is(together: bool, off: list[float]) -> None:
+    marks = shifted(tile().marks, np.random.default_rng(1), 3.0, together=together)
+    steps = np.array([np.subtract(a.centre_n, b.centre_n) for a, b in zip(marks, tile().marks, strict=True)])
+    assert sorted(np.linalg.norm(steps, axis=1)) == pytest.approx(off)
+    assert np.ptp(steps, axis=0).max() < 1e-9 or not together
 
 
 def test_the_naive_search_finds_boxes_of_one_colour() -> None:

@@ -225,6 +225,25 @@ def test_the_wrong_street_is_not_taken_for_the_right_one() -> None:
         assert result.fix is None or np.linalg.norm(v.p_n - np.array(result.fix.p_n)) < 3.0, result.report
 
 
+def test_a_map_that_is_shifted_as_it_says_is_found_and_the_claim_holds_the_shift() -> None:
+    """All of the map lies 4 m off, with a prior good to 0.3 m: the fix is where the map says, its error that of the map."""
+    v, sigma, shift = view(), np.array([0.3, 0.3, 0.3, *np.radians([0.2, 0.2, 0.5])]), np.array([2.4, -3.2])
+    moved = [msgspec.structs.replace(m, outline_n=m.outline_n + shift, centre_n=m.centre_n + shift) for m in scene().map]
+    prior = Prior(v.p_n, v.q_nb, np.diag(sigma**2))
+    found = []
+    for common_sigma_m in (0.0, 3.0):
+        the_map = LandmarkMap.from_landmarks(scene().map.origin, moved, (common_sigma_m, 0.0))
+        found.append(pipeline(the_map).process(v.left, v.right, 0, prior).fix)
+    silent, fix = found
+    assert silent is None
+    assert fix is not None
+    assert fix.covariance_common is not None
+    assert np.linalg.norm(np.array(fix.p_n[:2]) - v.p_n[:2] - shift) < 0.5
+    e, P = np.array(fix.p_n[:2]) - v.p_n[:2], (fix.covariance + fix.covariance_common)[:2, :2]
+    assert e @ np.linalg.solve(P, e) < 5.991
+    assert np.linalg.eigvalsh(P)[0] > 3.0**2
+
+
 def drawn(rng: np.random.Generator, world: Scene, sigma: Array) -> View:
     """A pair from anywhere near the middle, nearly level, and a prior as wrong as it says."""
     p_n = np.array([*rng.uniform(-60.0, 60.0, 2), -rng.uniform(50.0, 90.0)])

@@ -1,11 +1,26 @@
-"""What a map's own shift does to a fix: it moves every fix made with it, by the same."""
+"""What a map's own shift does to a fix: it moves every fix made with it, by the same.
+
+    P_map = P + C,    C = diag(s_h^2, s_h^2, s_v^2, 0, 0, 0)        (s: common_sigma_m, horizontal and vertical)
+
+In the coordinates of the map a prior knows the pose with P_map only, so outlines are searched as far as that reaches. A fix is
+the measurement in the map, and its error on Earth has C in addition.
+"""
+
+from dataclasses import replace
 
 import msgspec
 import numpy as np
 
 from models.messages import Array, LandmarkFix
+from vision.identify.identify import Prior
 
 WHOLE_MAP = "(the map)"  # among the landmarks of a fix: the error that they share
+
+
+def on_map(prior: Prior, common_sigma_m: tuple[float, float]) -> Prior:
+    """A prior on Earth as a prior in the map's coordinates."""
+    horizontal, vertical = common_sigma_m
+    return replace(prior, covariance=prior.covariance + np.diag([horizontal, horizontal, vertical, 0.0, 0.0, 0.0]) ** 2)
 
 
 def with_map_error(fix: LandmarkFix, common_sigma_m: tuple[float, float]) -> LandmarkFix:

@@ -139,14 +139,22 @@ def position_odds(present: Array, gone: float, squared: float, found: float, cov
 def decided(tried: Sequence[Fitted | str], config: VerifyConfig) -> Fitted | str:
     """The one fit of several positions that is left, or why none is.
 
-    Of those that show the likeliest position and are nearly as likely it is the one that knows the position best. Where several
-    lead to one fit, it has what the least of them has kept: none of them was more right than the others.
+    Of those that show the likeliest position and are nearly as likely it is the one that knows the position best, but no more
+    directions than the likeliest one: along a road every position is the same one, and the corner of something else at one of
+    them would choose among them. Where several lead to one fit, it has what the least of them has kept: none of them was more
+    right than the others.
     """
     fits = [one for one in tried if not isinstance(one, str)]
     if not fits:
         return str(tried[0])
     likeliest = max(fits, key=lambda one: one.odds)
-    as_likely = [one for one in fits if one.odds > likeliest.odds - config.decides and same_position(one, likeliest, config)]
+    as_likely = [
+        one
+        for one in fits
+        if one.odds > likeliest.odds - config.decides
+        and same_position(one, likeliest, config)
+        and _measured(one) <= _measured(likeliest)
+    ]
     best = min(as_likely, key=lambda one: (float(np.trace(one.pose.joint_covariance[:3, :3])), -one.odds))
     kept = best.kept
     for other in (one for one in fits if one is not best):
@@ -160,6 +168,11 @@ def decided(tried: Sequence[Fitted | str], config: VerifyConfig) -> Fitted | str
         ):
             return f"another position, {apart:.0f} px off, is not much less likely (ln odds {best.odds:.1f} and {other.odds:.1f})"
     return best if kept == best.kept else replace(best, kept=kept)
+
+
+def _measured(one: Fitted) -> int:
+    """How many directions of the pose the images measure."""
+    return len(np.eye(6) if one.pose.directions is None else one.pose.directions)
 
 
 def _decisive(other: Fitted, config: VerifyConfig) -> float:

@@ -100,6 +100,17 @@ def test_of_fits_of_one_position_the_most_certain_one_is_taken(odds: float, apar
     assert isinstance(outcome, Fitted) is (apart_m < 1.0)
 
 
+def test_a_direction_that_the_likeliest_fit_leaves_open_needs_a_likelier_fit() -> None:
+    """Along a road every position is the same one; the corner of something else at one of them does not choose among them."""
+    corner = replace(fitted(whole(), MARKS), odds=6.3)
+    vague = 4.0 * corner.pose.joint_covariance
+    pose = replace(corner.pose, directions=np.eye(6)[:5], readings=np.zeros(5), joint_covariance=vague)
+    road = replace(corner, odds=6.8, pose=pose)
+    assert decided([corner, road], VerifyConfig()) is road
+    likelier = replace(corner, odds=7.0)
+    assert decided([likelier, road], VerifyConfig()) is likelier
+
+
 def test_odds_of_a_position_by_hand() -> None:
     """One landmark that stands, 20 to 1, one without evidence, one that is gone for sure; two sigma off; 60 % found."""
     there = np.log(0.9 * 20.0 + 0.1) + 0.0 + np.log(0.1)
