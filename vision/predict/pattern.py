@@ -45,8 +45,7 @@ _AROUND_PX = 5.0 * _APART_PX  # searched all around, at least: positions that th
 _POSITION = 1.0  # pixel of the searched image: how well the summit's position is known
 _POINTS, _FEWER = 400, 240  # on the outlines; where turn and scale are searched too
 _FLOOR = 0.5  # of the image's median gradient: below it there is no direction
-SURE = 1.4  # of a summit alone: 0.2 % by chance, M being some thousand
-SURE_TURNED = 1.5  # where turn and scale are searched too: M is ten times as large
+SURE = 1.5  # of a summit alone: 0.03 % by chance, M being some thousand
 _LIKELY = 1.08  # of one where a fit is, as in registration.py
 _ALONE = PointConfig(least=1, freedom=1e9, expected=1.0)  # one point has no residual that could tell of its noise
 
@@ -73,7 +72,7 @@ def judged(
     if best is None:
         return result
     if result.pose is None:
-        sure = best.ratio >= (SURE if narrow else SURE_TURNED)
+        sure = best.ratio >= SURE
         return _as_fix(result, one_eyed(rig, right=images.only_right), marks, move, best, alone=alone) if sure else result
     error = difference(result.pose.joint_p_n, result.pose.joint_R_nb, move.prior.p_n, move.prior.q_nb_wxyz)
     off_px = float(np.linalg.norm(move.J[:2] @ error - best.q[:2]))
