@@ -53,6 +53,7 @@ _MOST = 4  # hypotheses at a time, those without a receiver not counted
 _MARGIN = 3.0  # ln: by which another must be better
 _LEAST_DOUBT = 1.0  # ln: a sceptic starts at least this far behind
 _LEAST_CONTRADICTION_S = 2.0  # contradiction shorter than this never wins
+_JUST = 4.0  # times the gate: twice as far as the farthest that passes
 _TINY = 1e-9
 _OVERCONFIDENT, _OVERCONFIDENT_SHARE = 9.0, 0.1  # one filter in ten is taken to have errors three times what it says
 
@@ -142,7 +143,7 @@ class Hypotheses:
             seen.append(seen[0])
             passed.append(True)
         set_aside = left_out.is_confirmed(self.members[0], aid)
-        believer = self._believer(aid, z, gyro_b, seen[0]) if aid.absolute and not any(passed) and not set_aside else None
+        believer = self._believer(aid, z, gyro_b, seen, limit) if aid.absolute and not any(passed) and not set_aside else None
         born: list[Hypothesis] = []
         anew = aid.absolute and not set_aside and not passed[0] and aid.topic not in self.members[0].doubts
         agreement = self._agreement(aid, seen, passed)
@@ -350,11 +351,13 @@ class Hypotheses:
             default=-math.inf,
         )
 
-    def _believer(self, aid: Aid, z: Measurement, gyro_b: Array, seen: Innovation) -> Hypothesis | None:
+    def _believer(self, aid: Aid, z: Measurement, gyro_b: Array, by: list[Innovation], limit: float) -> Hypothesis | None:
         """The leading hypothesis gone wrong: fuses what contradicts it, as much less certain as the contradiction is large.
 
-        It goes on for one that fused the last fix and rejects this one: fixes that drift are the same evidence.
+        It goes on for one that fused the last fix and just rejects this one: fixes that drift are the same evidence, but those
+        of a receiver share their error.
         """
+        seen = by[0]
         if not math.isfinite(seen.distance2):
             return None
         believer = self.members[0].copy()
@@ -366,7 +369,14 @@ class Hypotheses:
         )  # fmt: skip
         most = aid.log_false + _MARGIN - _LEAST_CONTRADICTION_S / aid.hypothetical.fault_s
         believer.weight += min(max(overconfident, self._broken(aid)), most)
-        earlier = max((m.weight for m in self.members[1:] if aid.topic not in m.doubts and not m.without), default=-math.inf)
+        earlier = max(
+            (
+                m.weight
+                for m, its in zip(self.members[1:], by[1:], strict=True)
+                if aid.log_misled is None and aid.topic not in m.doubts and not m.without and its.distance2 <= _JUST * limit
+            ),
+            default=-math.inf,
+        )
         believer.weight = max(believer.weight, earlier + aid.log_false)
         believer.fused_ns = believer.established_ns = believer.parted_ns = aid.t_ns
         believer.doubts.pop(aid.topic, None)

@@ -364,11 +364,16 @@ def _rejecting(*p: float, weight: float = 0.0) -> Hypothesis:
     return member
 
 
-@pytest.mark.parametrize(("earlier", "expected"), [(-1.2, -1.2), (-15.0, 3.0 - 20.0 / 1.5)])
-def test_a_believer_goes_on_for_one_that_fused_the_last_fix_and_rejects_this_one(earlier: float, expected: float) -> None:
+_ANEW = 3.0 - 20.0 / 1.5
+
+
+@pytest.mark.parametrize(("earlier", "off_m", "expected"), [(-1.2, 1.2, -1.2), (-15.0, 1.2, _ANEW), (-1.2, 8.0, _ANEW)])
+def test_a_believer_goes_on_for_one_that_fused_the_last_fix_and_just_rejects_this_one(
+    earlier: float, off_m: float, expected: float
+) -> None:
     """Fixes that drift are the same evidence: before, each believer began anew, and the leading one stayed for half a minute."""
     bank = Hypotheses([_rejecting(0.0, 0.0, 0.0), _member(_state(40.0, 0.0, 0.0), weight=earlier)])
-    _judge(bank, (48.0, 0.0, 0.0))
+    _judge(bank, (40.0 + off_m, 0.0, 0.0))
     newest = [m for m in bank.members if "/pose_fix" not in m.doubts]
     assert [m.weight for m in newest] == [pytest.approx(expected, abs=1e-6)]
 
