@@ -49,7 +49,7 @@ class Snapshot(NamedTuple):
     absolute_age_s: float
     positions: Mapping[str, Position]
     single: bool  # the hypotheses are in the covariance already
-    variance_factor: float = 1.0  # of what is published
+    variance_factor: float  # of what is published
 
 
 class Fault(NamedTuple):

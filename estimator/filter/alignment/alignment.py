@@ -48,7 +48,7 @@ _WRONG_NS = 30_000_000_000  # a heading that motion has refuted is not asked for
 _HEARD_NS = 10_000_000_000  # a source of the filter's positions is still there
 _FRESH_NS = 2_000_000_000  # a prior attitude is of now
 _XYZ = 3
-_NO_NOISE = math.radians(30.0)  # of an attitude: who measures it that badly does not measure it
+_LARGEST_NOISE = math.radians(30.0)  # a larger innovation of attitude is not the noise of a fix
 _REFUTED = 2  # positions in a row
 _MOVED_SIGMA = 4.0  # positions that differ by more are of a vehicle that moves
 
@@ -210,7 +210,7 @@ class Alignment:
         if aid.absolute:
             before, self.direction = self.direction, contradiction.direction(seen.nu, seen.s)
             persists = contradiction.persists(before, self.direction)
-            lasts, self.persisted = persists and (self.persisted or _turns(z, seen)), persists
+            lasts, self.persisted = persists and (self.persisted or _contradicts_attitude(z, seen)), persists
             foreseen |= seen.distance2 <= limit and not persists
             if len(self.hypotheses.members) == 1:
                 follows = self._follows(aid, seen, limit, lasts=lasts)
@@ -237,8 +237,8 @@ class Alignment:
     def _follows(self, aid: Aid, seen: Innovation, limit: float, *, lasts: bool) -> bool:
         """Fuse what the only filter has not foreseen, after another such one, for without fixes it reckons ever farther off.
 
-        Once, and then while no three innovations in a row point the same way, two where they turn the vehicle over; not after a
-        filter was given up: an IMU that is wrong is not followed.
+        Once, and then while no three innovations in a row point the same way, two where the attitude is off by 30 degrees;
+        not after a filter was given up: an IMU that is wrong is not followed.
         """
         assert self.hypotheses is not None
         is_alone = self.absolute <= {aid.topic}  # else the two may be in conflict
@@ -450,9 +450,9 @@ class Alignment:
         return samples.u[begin:end]
 
 
-def _turns(z: Measurement, seen: Innovation) -> bool:
-    """Whether the attitude of a fix is so far off that it is no noise of a fix."""
-    return isinstance(z, Pose) and z.attitude == "full" and float(np.linalg.norm(seen.nu[_XYZ:])) > _NO_NOISE
+def _contradicts_attitude(z: Measurement, seen: Innovation) -> bool:
+    """Whether the innovation of a whole attitude is larger than the noise of any fix."""
+    return isinstance(z, Pose) and z.attitude == "full" and float(np.linalg.norm(seen.nu[_XYZ:])) > _LARGEST_NOISE
 
 
 def _differ(z: Position | Pose, first: Position | Pose) -> bool:

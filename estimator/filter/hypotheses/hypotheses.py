@@ -53,7 +53,7 @@ _MOST = 4  # hypotheses at a time, those without a receiver not counted
 _MARGIN = 3.0  # ln: by which another must be better
 _LEAST_DOUBT = 1.0  # ln: a sceptic starts at least this far behind
 _LEAST_CONTRADICTION_S = 2.0  # contradiction shorter than this never wins
-_JUST = 4.0  # times the gate: twice as far as the farthest that passes
+_SMALL_EXCESS = 4.0  # squared distance over the gate: twice the largest distance that passes
 _TINY = 1e-9
 _OVERCONFIDENT, _OVERCONFIDENT_SHARE = 9.0, 0.1  # one filter in ten is taken to have errors three times what it says
 
@@ -178,7 +178,7 @@ class Hypotheses:
                 member.without = ""  # no other one follows the receiver, which agrees: it is judged again
                 answer(k)
         if anew and not believer:
-            self._let_believe(aid, fused)
+            self._raise_alternative(aid, fused)
         at_fix = left_out.moved(self.members[0], aid, z, gyro_b, seen[0]) if believer and self.members[0].receiver else None
         for member, was_fused in zip(self.members, fused, strict=True):
             doubt = member.doubts.get(aid.topic)
@@ -354,8 +354,8 @@ class Hypotheses:
     def _believer(self, aid: Aid, z: Measurement, gyro_b: Array, by: list[Innovation], limit: float) -> Hypothesis | None:
         """The leading hypothesis gone wrong: fuses what contradicts it, as much less certain as the contradiction is large.
 
-        It goes on for one that fused the last fix and just rejects this one: fixes that drift are the same evidence, but those
-        of a receiver share their error.
+        It inherits the weight of a hypothesis that fused the last fix and rejects this one by a small distance, as of fixes that
+        drift. It does not for a receiver, whose fixes share their error.
         """
         seen = by[0]
         if not math.isfinite(seen.distance2):
@@ -373,7 +373,10 @@ class Hypotheses:
             (
                 m.weight
                 for m, its in zip(self.members[1:], by[1:], strict=True)
-                if aid.log_misled is None and aid.topic not in m.doubts and not m.without and its.distance2 <= _JUST * limit
+                if aid.log_misled is None
+                and aid.topic not in m.doubts
+                and not m.without
+                and its.distance2 <= _SMALL_EXCESS * limit
             ),
             default=-math.inf,
         )
@@ -384,22 +387,22 @@ class Hypotheses:
         believer.filter.update(innovation(believer.filter, aid, z, gyro_b))
         return believer
 
-    def _let_believe(self, aid: Aid, fused: list[bool]) -> None:
-        """The leading hypothesis has begun to reject fixes that another one fuses: that one stands for the believer."""
+    def _raise_alternative(self, aid: Aid, fused: list[bool]) -> None:
+        """The leading hypothesis begins to reject fixes that another one fuses: that one gets at least a believer's weight."""
         others = [m for m, was_fused in zip(self.members, fused, strict=True) if was_fused and not m.without]
         if others:
             best = max(others, key=lambda m: m.weight)
             best.weight = max(best.weight, self.members[0].weight - aid.log_false + self._broken(aid))
 
     def _broken(self, aid: Aid) -> float:
-        """ln of the weight of "the leading filter is wrong", with which consistent fixes win after its patience."""
+        """ln of the weight of "the leading filter is wrong": consistent fixes take over when its patience (s) has passed."""
         patience_s = self.members[0].patience_s(aid.t_ns, aid.hypothetical.reset_after_s)
         return aid.log_false + _MARGIN - max(patience_s, _LEAST_CONTRADICTION_S) / aid.hypothetical.fault_s
 
     def _rank(self, t_ns: int, believer: Hypothesis | None = None) -> None:
         """Let the heaviest lead if its margin is enough; drop those that are far behind or no longer differ.
 
-        A believer that has just begun takes the place of the last of too many: all of them have rejected the fix.
+        Where there are too many, a new believer replaces the least likely one, because all others have rejected the fix.
         """
         if len(self.members) == 1:  # most of the time
             self.members[0].weight = 0.0

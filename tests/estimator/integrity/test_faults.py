@@ -33,9 +33,9 @@ def _position(kind: str, innovation: tuple[float, float, float], *, age_s: float
     return Position(kind, NOW - round(age_s * S), innovation, (1.0, 1.0, 2.0), NOW - round(age_s * S))
 
 
-def _now(members: list[Hypothesis], positions: dict[str, Position], age_s: float = 0.5) -> Snapshot:
-    P: Array = members[0].filter.cov[E.P, E.P]
-    return Snapshot(NOW, Hypotheses(members), P, age_s, positions, single=False)
+def _now(members: list[Hypothesis], positions: dict[str, Position], age_s: float = 0.5, variance_factor: float = 1.0) -> Snapshot:
+    P: Array = variance_factor * members[0].filter.cov[E.P, E.P]
+    return Snapshot(NOW, Hypotheses(members), P, age_s, positions, single=False, variance_factor=variance_factor)
 
 
 def _by_name(found: list[Fault]) -> dict[str, Fault]:
@@ -55,6 +55,16 @@ def test_a_source_alone_is_not_bounded_and_has_faults_of_known_size() -> None:
     assert found["stamps of /fix wrong"].offset_v == pytest.approx(0.2)
     assert found["a false fix inside the gate"].offset_h == pytest.approx(2.0)
     assert found["nominal errors"] == Fault("nominal errors", 1.0, 0.0, 0.5, 0.0, 0.5)
+
+
+def test_the_variance_factor_of_what_is_published_widens_every_solution() -> None:
+    members = [Hypothesis(_filter((0.0, 0.0, 0.0), 0.5)), Hypothesis(_filter((3.0, 0.0, 0.0), 0.4), weight=-1.0)]
+    members[1].doubts["/fix"] = Doubt(NOW, deliberate=True)
+    narrow, wide = (_by_name(faults(_now(members, {}, variance_factor=f), CONFIG)) for f in (1.0, 4.0))
+    assert wide["nominal errors"].sigma_h == pytest.approx(2.0 * narrow["nominal errors"].sigma_h) == pytest.approx(1.0)
+    assert (
+        wide["/fix fused and false"].sigma_h == pytest.approx(2.0 * narrow["/fix fused and false"].sigma_h) == pytest.approx(0.8)
+    )
 
 
 def test_the_imu_falls_away_with_the_time_since_the_last_position() -> None:

@@ -7,7 +7,7 @@ import pytest
 from msgspec.structs import replace
 
 from estimator.filter.eskf import Innovation
-from estimator.filter.mismatch.bias_walk import BiasWalk
+from estimator.filter.mismatch.bias_walk import BiasWalk, Whiteness
 from models.imu import ImuNoise
 from models.messages import Array, GnssFix, ImuSample, Input, PoseFix, vec3
 from models.sim.scenario import EPOCH_NS
@@ -69,6 +69,14 @@ def test_what_is_surely_wrong_raises_it_a_hundred_times_at_once_and_what_is_like
     assert _first_rise(np.concatenate((_white(20), _white(30, 0.3) + 2.0 * off))) == 100.0
     gently = np.linspace(0.0, 1.0, 60)[:, None] * off
     assert sorted({_first_rise(_white(60, 0.9, seed) + gently) for seed in range(10)}) == [10.0, 100.0]
+
+
+@pytest.mark.parametrize(("size", "wrong"), [(1.2, False), (1.4, True), (7.9, True), (8.1, False)])
+def test_a_mean_counts_where_the_innovations_are_larger_than_noise_and_smaller_than_a_wrong_covariance(
+    size: float, wrong: bool
+) -> None:
+    assert Whiteness(size, (4.0, 0.0, 0.0, 0.0, 0.0, 0.0)).is_wrong(0.995) is wrong
+    assert not Whiteness(size, (0.1, 0.0, 0.0, 0.0, 0.0, 0.0)).is_wrong(0.995)
 
 
 def test_the_biases_have_walked_before_it_was_noticed() -> None:
