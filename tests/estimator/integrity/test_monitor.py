@@ -43,6 +43,7 @@ class Run:
         self.truth = made.truth
         self.start_ns = made.messages[0].t_ns
         fusion = Fusion(msgspec.structs.replace(parse(made.config_toml, "simulated").fusion(), integrity=config))
+        self.fusion = fusion
         self.outputs: list[Output] = []
         for message in made.messages:
             late = (message.t_ns - self.start_ns) * 1e-9
@@ -111,6 +112,16 @@ def test_fixes_along_six_directions_check_a_receiver_as_whole_ones_do() -> None:
 def test_fixes_in_part_check_no_position() -> None:
     seen = Run(LIMITS, changed=_along_directions(5))
     assert math.isinf(seen.at(38.0).hpls_m[1])
+
+
+def test_the_levels_keep_the_variance_factor_as_long_as_the_published_covariance() -> None:
+    run = Run(LIMITS)
+    t_ns = run.integrity[-1].t_ns
+    tracker, monitor = run.fusion._history.tracker, run.fusion._integrity
+    usual = monitor.at(tracker, t_ns, t_ns)
+    tracker.variance_factor = tracker.variance_factor._replace(lasting=9.0)
+    wide = monitor.at(tracker, t_ns, t_ns)
+    assert wide.hpls_m[0] > 1.5 * usual.hpls_m[0]
 
 
 def test_it_comes_five_times_in_the_time_to_alert(both: Run) -> None:

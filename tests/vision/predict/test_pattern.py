@@ -81,6 +81,14 @@ def asked(
     return pattern.judged(before, RIG, drawn(standing), marks, move, CoarseConfig(), alone=alone), prior
 
 
+@pytest.mark.parametrize(("copied", "found"), [(2, True), (3, False), (4, False)])
+def test_a_position_that_is_not_half_as_likely_again_as_the_second_is_no_fix(copied: int, found: bool) -> None:
+    """Some of the roofs stand a second time, 17 m off; ratios of the two positions: 2.06, 1.46, 1.24."""
+    again = tuple((north + 14.0, east + 9.0, a, b) for north, east, a, b in VILLAGE[:copied])
+    result, _ = asked(VILLAGE, VILLAGE + again)
+    assert (result.fix is not None) is found
+
+
 def test_roofs_of_two_colours_are_found_together() -> None:
     result, prior = asked(VILLAGE, VILLAGE)
     assert result.fix is not None

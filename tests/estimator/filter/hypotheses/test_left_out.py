@@ -48,6 +48,18 @@ def _gnss(p_n: Vec3) -> tuple[Aid, Measurement]:
     return aid, z
 
 
+def test_the_last_fix_of_a_receiver_is_no_evidence_for_the_next_one_which_shares_its_error() -> None:
+    """A receiver that wanders was followed; with a source whose fixes are independent the new hypothesis would weigh -1.2."""
+    lead, earlier = _member((0.0, 0.0, 0.0)), _member((40.0, 0.0, 0.0), -1.2)
+    lead.doubts[TOPIC] = Doubt(EPOCH_NS - SECOND, deliberate=False)
+    aid, z = _gnss((50.0, 0.0, 0.0))
+    bank = Hypotheses([lead, earlier])
+    assert not bank.judge(aid, z, np.zeros(3), trusted=True).passed
+    (newest,) = (m for m in bank.members if TOPIC not in m.doubts)
+    assert newest is not earlier
+    assert newest.weight < -2.0
+
+
 @pytest.mark.parametrize(("fused_ago_s", "follows"), [(5.0, False), (15.0, True)])
 def test_the_leading_one_follows_the_receiver_again_when_nothing_else_confirms_it(fused_ago_s: float, follows: bool) -> None:
     bank = Hypotheses([_without((0.0, 0.0, 0.0), fused_ago_s=fused_ago_s), _member((0.2, 0.0, 0.0), -3.0)])

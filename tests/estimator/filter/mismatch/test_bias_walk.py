@@ -12,7 +12,7 @@ from models.imu import ImuNoise
 from models.messages import Array, GnssFix, ImuSample, Input, PoseFix, vec3
 from models.sim.scenario import EPOCH_NS
 from models.state import E
-from tests.estimator.scenes import SECOND, error, fly, position_errors, simulated, within
+from tests.estimator.scenes import SECOND, aid_of, error, fly, pose_fix, position_errors, simulated, within
 
 NOISE = ImuNoise(gyro_walk=1e-5, accel_walk=1e-4)
 
@@ -173,6 +173,21 @@ def test_readings_of_a_receiver_do_not_raise_it_for_a_receiver_may_be_pulled_off
     walk = run.fusion._history.advance(run.estimates[-1].t_ns).bias_walk
     assert {topic for topic, _ in walk.sources} == {"/pose_fix"}
     assert walk.factor == 1.0
+
+
+def test_every_hypothesis_has_the_larger_biases_at_once_when_the_motion_is_found_to_be_wrong() -> None:
+    flight = simulated(FLIGHT, seed=1)
+    run = fly(flight, messages=flight.messages[:2000])
+    t_ns = run.estimates[-1].t_ns
+    tracker = run.fusion._history.advance(t_ns)
+    assert tracker.hypotheses is not None
+    lead = tracker.hypotheses.lead
+    before = lead.cov.diagonal()[E.BG.start : E.BA.stop].copy()
+    tracker.bias_walk = BiasWalk((("/pose_fix", Whiteness(3.0, (4.0, 0.0, 0.0, 0.0, 0.0, 0.0))),), t_ns=t_ns - 2 * SECOND)
+    tracker._note_biases(aid_of(pose_fix(t_ns)), _seen(np.array([4.0, 0.0, 0.0, 0.0, 0.0, 0.0])))
+    walked = tracker.bias_walk.walked(BiasWalk(), tracker.noise)
+    assert tracker.bias_walk.factor == 100.0
+    np.testing.assert_allclose(lead.cov.diagonal()[E.BG.start : E.BA.stop] - before, walked**2, rtol=1e-6)
 
 
 def test_a_restarted_estimate_keeps_what_was_estimated_of_the_sensors() -> None:
