@@ -22,6 +22,7 @@ from estimator.integrity.monitor import Monitor
 from estimator.sources.aids import aid_of
 from estimator.sources.air.drag import drag_aid
 from estimator.sources.air.wind import WIND
+from estimator.sources.held import HeldImu
 from estimator.sources.imu.choice import Choice, ImusConfig, imu_aid
 from estimator.sources.imu.plausibility import sample_refusal
 from estimator.sources.rest import rest_aid
@@ -86,6 +87,7 @@ class Fusion:
         self._config = config
         self._history = self._begin()
         self._imus = Choice(config.imus, config.imu_topics)
+        self._held = HeldImu()
         self._counts: dict[str, int] = {}
         self._integrity = Monitor(config.integrity)
         self._detail = ""
@@ -164,6 +166,8 @@ class Fusion:
                 return []
             if changed:
                 return self._advance(sample)
+        elif refusal is None and (held := self._held.note(sample)):  # time goes on without it
+            return [self._refuse(sample, Refusal(Reason.HELD, held)), *self._tick(Tick(sample.t_ns, sample.arrived_ns))]
         if refusal is None and (reason := self._history.insert_sample(sample)) is not None:
             refusal = Refusal(reason)
         if refusal is not None:

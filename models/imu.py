@@ -110,6 +110,29 @@ def constants(noise: ImuNoise, coast: Coast, origin: Origin | None) -> Array:
     return c
 
 
+def in_doubt(constants: Array) -> Array:
+    """The constants of an IMU that is wrong in an unknown way: its noise is that of an unknown motion, as while coasting."""
+    c = constants.copy()
+    c[_C_GYRO_PSD], c[_C_ACCEL_PSD] = c[_C_COAST_GYRO_PSD], c[_C_COAST_ACCEL_PSD]
+    return c
+
+
+def unknown_motion(constants: Array, dt: float) -> Array:
+    """Covariance (15, 15) of what an unknown motion adds in dt seconds, the vertical unknown by its own turning:
+
+    s_v = (q_a + g^2 q_w dt^2 / 3) dt,   s_p = s_v dt^2 / 3,   s_pv = s_v dt / 2,   s_theta = q_w dt
+    """
+    q_w, q_a = constants[_C_COAST_GYRO_PSD], constants[_C_COAST_ACCEL_PSD]
+    s_v = (q_a + constants[_C_GRAVITY] ** 2 * q_w * dt**2 / 3.0) * dt
+    added = np.zeros((E.SIZE, E.SIZE))
+    for block, other, value in (
+        (E.P, E.P, s_v * dt**2 / 3.0), (E.P, E.V, s_v * dt / 2.0), (E.V, E.P, s_v * dt / 2.0),
+        (E.V, E.V, s_v), (E.THETA, E.THETA, q_w * dt),
+    ):  # fmt: skip
+        added[block, other] = value * np.eye(3)
+    return added
+
+
 @njit(cache=True, inline="always")
 def _matrix_into(q: Array, r: Array) -> None:
     """so3.matrix without a new array."""

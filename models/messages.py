@@ -286,6 +286,7 @@ class Reason(StrEnum):
     FUSED = "fused"
     GATED = "gated"  # chi-square test failed
     PROBATION = "probation"  # source has just come (back); consistent, but not yet trusted
+    HELD = "held"  # equals the last reading to the bit, though the vehicle moves
     STOPPED = "stopped"  # source is held off (spoofing or jamming suspected)
     ALIGNING = "aligning"  # used for, or waiting for, the initial alignment
     THINNED = "thinned"  # too soon after the last one, or a prior that is not needed any more

@@ -28,6 +28,12 @@ SLOW_S = 120.0  # time constant of a receiver's slow error
 CLIP_M_S2, BURST_M_S2, BURST_EVERY_S = 2.0 * GRAVITY, 2.0 * GRAVITY, 10.0
 RECTIFIED = 0.03  # offset of the accelerometer per RMS of the vibration
 BOOT_S = 20.0  # a receiver is wrong from boot, the first true fix comes now
+HELD_EVERY_S = 15.0
+ALIKE_M, ALIKE_DEG = 12.0, 5.0  # offset of look-alikes, and of their heading
+JAM_M, JAM_M_S = 25.0, 4.0  # noise of a jammed receiver, at full strength
+BIAS_DEG_S, BIAS_M_S2 = 1.0, 0.6  # of an IMU that is biased for a while, at size 1
+BIASED_S = 5.0
+FAST_HZ, CORRELATED_S = 20.0, 2.0  # fixes whose errors are correlated
 
 _replace = msgspec.structs.replace
 
@@ -39,7 +45,7 @@ def nothing(flight: Flight, size: float, rng: Rng) -> list[Input]:
 
 def imu_mount(flight: Flight, size: float, rng: Rng) -> list[Input]:
     """IMU turned by size degrees about a random axis: y = R y_true."""
-    return _turn_imu(flight, Rotation.from_rotvec(math.radians(size) * _direction(rng)))
+    return _turn_imu(flight, Rotation.from_rotvec(math.radians(size) * direction(rng)))
 
 
 def imu_axes(flight: Flight, size: float, rng: Rng) -> list[Input]:
@@ -54,7 +60,7 @@ def gyro_scale(flight: Flight, size: float, rng: Rng) -> list[Input]:
 
 def bias_ramp(flight: Flight, size: float, rng: Rng) -> list[Input]:
     """Gyro bias grows by size deg/s per minute, accelerometer bias by a tenth of that in m/s^2, along a random axis."""
-    gyro, accel = math.radians(size) / 60.0 * _direction(rng), 0.1 * size / 60.0 * _direction(rng)
+    gyro, accel = math.radians(size) / 60.0 * direction(rng), 0.1 * size / 60.0 * direction(rng)
 
     def ramp(m: ImuSample) -> ImuSample:
         t = _seconds(flight, m)
@@ -117,7 +123,7 @@ def fix_drift(flight: Flight, size: float, rng: Rng) -> list[Input]:
 
     def drift(m: PoseFix) -> PoseFix:
         x = size * course[flight.row(m.t_ns)]
-        return _replace(_turned(m, np.radians(DRIFT_DEG) * x[3:]), p_n=vec3(m.p_n + DRIFT_M * x[:3]))
+        return _replace(turned(m, np.radians(DRIFT_DEG) * x[3:]), p_n=vec3(m.p_n + DRIFT_M * x[:3]))
 
     return _fixes(flight, drift)
 
@@ -134,18 +140,18 @@ def fix_units(flight: Flight, size: float, rng: Rng) -> list[Input]:
 
 def fix_heading(flight: Flight, size: float, rng: Rng) -> list[Input]:
     """Heading of the fixes off by size degrees, positions true: magnetic taken for true north."""
-    return _fixes(flight, lambda m: _turned(m, np.array([0.0, 0.0, math.radians(size)])))
+    return _fixes(flight, lambda m: turned(m, np.array([0.0, 0.0, math.radians(size)])))
 
 
 def map_north(flight: Flight, size: float, rng: Rng) -> list[Input]:
     """The map of the fixes turned about its origin by size degrees: positions and headings."""
     turn = np.array([0.0, 0.0, math.radians(size)])
-    return _fixes(flight, lambda m: _replace(_turned(m, turn), p_n=vec3(Rotation.from_rotvec(turn).apply(m.p_n))))
+    return _fixes(flight, lambda m: _replace(turned(m, turn), p_n=vec3(Rotation.from_rotvec(turn).apply(m.p_n))))
 
 
 def map_shift(flight: Flight, size: float, rng: Rng) -> list[Input]:
     """The map of the fixes moved by size m in a random horizontal direction."""
-    offset = size * _level(rng)
+    offset = size * level(rng)
     return _fixes(flight, lambda m: _replace(m, p_n=vec3(m.p_n + offset)))
 
 
@@ -173,18 +179,137 @@ def gnss_lever(flight: Flight, size: float, rng: Rng) -> list[Input]:
 
 def antenna_switch(flight: Flight, size: float, rng: Rng) -> list[Input]:
     """From ONSET_S on the receiver reports a place size m off, horizontally."""
-    return _gnss(flight, np.outer(_since_onset(flight) >= 0.0, size * _level(rng)))
+    return _gnss(flight, np.outer(_since_onset(flight) >= 0.0, size * level(rng)))
 
 
 def gnss_boot(flight: Flight, size: float, rng: Rng) -> list[Input]:
     """GNSS off by size m, horizontally, from the first message to the last."""
-    return _gnss(flight, size * _level(rng))
+    return _gnss(flight, size * level(rng))
 
 
 def gnss_pull(flight: Flight, size: float, rng: Rng) -> list[Input]:
     """From ONSET_S on GNSS moves away at size m/s, horizontally; its velocity agrees."""
-    pull, t_s = size * _level(rng), _since_onset(flight)
+    pull, t_s = size * level(rng), _since_onset(flight)
     return _gnss(flight, np.outer(np.maximum(t_s, 0.0), pull), np.outer(t_s >= 0.0, pull))
+
+
+def imu_held(flight: Flight, size: float, rng: Rng) -> list[Input]:
+    """Each HELD_EVERY_S the IMU repeats its last sample under new stamps for size seconds."""
+    last: ImuSample | None = None
+
+    def hold(m: ImuSample) -> ImuSample:
+        nonlocal last
+        if last is None or _seconds(flight, m) % HELD_EVERY_S < HELD_EVERY_S - size:
+            last = m
+        return _replace(m, gyro_b=last.gyro_b, accel_b=last.accel_b)
+
+    return _imu(flight, hold)
+
+
+def gyro_axis_dead(flight: Flight, size: float, rng: Rng) -> list[Input]:
+    """From ONSET_S on the yaw gyroscope reads size, to the bit."""
+    return _imu(flight, lambda m: m if _seconds(flight, m) < ONSET_S else _replace(m, gyro_b=(*m.gyro_b[:2], size)))
+
+
+def imu_biased(flight: Flight, size: float, rng: Rng) -> list[Input]:
+    """For BIASED_S from ONSET_S on the IMU is off by size times BIAS_DEG_S and BIAS_M_S2 along random axes."""
+    gyro, accel = size * math.radians(BIAS_DEG_S) * direction(rng), size * BIAS_M_S2 * direction(rng)
+
+    def biased(m: ImuSample) -> ImuSample:
+        is_off = ONSET_S <= _seconds(flight, m) < ONSET_S + BIASED_S
+        return _replace(m, gyro_b=vec3(m.gyro_b + gyro), accel_b=vec3(m.accel_b + accel)) if is_off else m
+
+    return _imu(flight, biased)
+
+
+def fix_repeats(flight: Flight, size: float, rng: Rng) -> list[Input]:
+    """From ONSET_S on the last pose comes again under new stamps, for size seconds."""
+    last: PoseFix | None = None
+
+    def repeat(m: PoseFix) -> PoseFix:
+        nonlocal last
+        if last is None or not ONSET_S <= _seconds(flight, m) < ONSET_S + size:
+            last = m
+        return _replace(m, p_n=last.p_n, q_nb_wxyz=last.q_nb_wxyz)
+
+    return _fixes(flight, repeat)
+
+
+def look_alikes(flight: Flight, size: float, rng: Rng) -> list[Input]:
+    """The first size fixes after each outage, and from ONSET_S on, are off by ALIKE_M in one direction and ALIKE_DEG."""
+    left, offset, turn = 0, np.zeros(3), np.zeros(3)
+    begins_s = [ONSET_S, *(end for _, end in flight.outages_s)]
+
+    def alike(m: PoseFix) -> PoseFix:
+        nonlocal left, offset, turn
+        if begins_s and _seconds(flight, m) >= min(begins_s):
+            begins_s.remove(min(begins_s))
+            left, offset, turn = round(size), ALIKE_M * level(rng), math.radians(ALIKE_DEG) * direction(rng)
+        left -= 1
+        return m if left < 0 else _replace(turned(m, turn), p_n=vec3(m.p_n + offset))
+
+    return _fixes(flight, alike)
+
+
+def fixes_correlated(flight: Flight, size: float, rng: Rng) -> list[Input]:
+    """Fixes at FAST_HZ in place of the others, of size times the errors that they claim, correlated over CORRELATED_S."""
+    first = next(m for m in flight.messages if isinstance(m, PoseFix))
+    course = _gauss_markov(flight, CORRELATED_S, 6, rng)
+    root = np.linalg.cholesky(first.covariance)
+    others = [m for m in flight.messages if not isinstance(m, PoseFix)]
+    fixes = list[Input]()
+    for wanted in np.arange(flight.t_ns[0], flight.t_ns[-1], round(1e9 / FAST_HZ)):
+        row = flight.row(int(wanted))
+        t_ns, t_s = int(flight.t_ns[row]), float(flight.t_ns[row] - flight.start_ns) * 1e-9
+        if t_s < 0.0 or any(a < t_s < b for a, b in flight.outages_s):
+            continue
+        error = size * (root @ course[row])
+        w, x, y, z = (float(c) for c in Rotation.from_matrix(flight.R_nb[row]).as_quat(scalar_first=True))
+        true = _replace(first, t_ns=t_ns, arrived_ns=t_ns, p_n=vec3(flight.p_n[row] + error[:3]), q_nb_wxyz=(w, x, y, z))
+        fixes.append(turned(true, error[3:]))
+    return in_order([*others, *fixes])
+
+
+def fix_clock(flight: Flight, size: float, rng: Rng) -> list[Input]:
+    """The clock of the fixes gains size ms each second."""
+    return in_order([
+        _replace(m, t_ns=m.t_ns + round(size * 1e-3 * (m.t_ns - flight.start_ns)),
+                 arrived_ns=m.arrived_ns + round(size * 1e-3 * (m.t_ns - flight.start_ns))) if isinstance(m, PoseFix) else m
+        for m in flight.messages
+    ])  # fmt: skip
+
+
+def fix_clock_steps(flight: Flight, size: float, rng: Rng) -> list[Input]:
+    """From ONSET_S on the stamps of the fixes are size ms late."""
+    step = round(size * 1e6)
+    return in_order([
+        _replace(m, t_ns=m.t_ns + step, arrived_ns=m.arrived_ns + step)
+        if isinstance(m, PoseFix) and _seconds(flight, m) >= ONSET_S else m
+        for m in flight.messages
+    ])  # fmt: skip
+
+
+def gnss_frozen(flight: Flight, size: float, rng: Rng) -> list[Input]:
+    """From ONSET_S on the receiver repeats its last position for size seconds; its velocity goes on."""
+    last: GnssFix | None = None
+
+    def freeze(m: Input) -> Input:
+        nonlocal last
+        if not isinstance(m, GnssFix):
+            return m
+        if last is None or not ONSET_S <= _seconds(flight, m) < ONSET_S + size:
+            last = m
+        return _replace(m, lat_deg=last.lat_deg, lon_deg=last.lon_deg, alt_m=last.alt_m)
+
+    return [freeze(m) for m in flight.messages]
+
+
+def gnss_jammed(flight: Flight, size: float, rng: Rng) -> list[Input]:
+    """From ONSET_S on noise of JAM_M and JAM_M_S, growing over size seconds, for twice as long; the accuracy stays as it was."""
+    t_s = _since_onset(flight)
+    strength = np.where((t_s >= 0.0) & (t_s < 2.0 * size), np.clip(t_s / size, 0.0, 1.0), 0.0)[:, None]
+    noise = rng.standard_normal((2, len(t_s), 3))
+    return _gnss(flight, JAM_M * strength * noise[0], JAM_M_S * strength * noise[1])
 
 
 def rarer(messages: list[Input], period_s: float, from_s: float) -> list[Input]:
@@ -231,15 +356,25 @@ KINDS = {
         Kind(name="bias ramp", perturb=bias_ramp, unit="deg/s/min", sizes=(0.2, 0.5, 2.0)),
         Kind(name="vibration", perturb=vibration, unit="m/s^2", sizes=(2.0, 5.0, 15.0)),
         Kind(name="accelerometer clips", perturb=clipping, unit="s", sizes=(0.1, 0.3, 1.0)),
+        Kind(name="IMU held", perturb=imu_held, unit="s", sizes=(0.3, 1.0)),
+        Kind(name="IMU biased", perturb=imu_biased, unit="x", sizes=(1.0, 3.0)),
+        Kind(name="yaw gyro dead", perturb=gyro_axis_dead, unit="rad/s", sizes=(0.0,)),
+        Kind(name="yaw gyro dead, with GNSS", perturb=gyro_axis_dead, unit="rad/s", sizes=(0.0,), aids="both"),
         Kind(name="IMU samples lost", perturb=imu_drop, unit="%", sizes=(2.0, 5.0, 20.0)),
         Kind(name="time jitter", perturb=time_jitter, unit="ms", sizes=(2.0, 5.0, 15.0)),
         Kind(name="fix delay", perturb=fix_delay, unit="ms", sizes=(40.0, 80.0, 150.0)),
+        Kind(name="fix clock gains", perturb=fix_clock, unit="ms/s", sizes=(0.5, 2.0)),
+        Kind(name="fix clock steps", perturb=fix_clock_steps, unit="ms", sizes=(100.0, 300.0)),
+        Kind(name="fix repeats", perturb=fix_repeats, unit="s", sizes=(3.0, 8.0)),
+        Kind(name="look-alikes", perturb=look_alikes, unit="fixes", sizes=(1.0, 3.0, 8.0)),
+        Kind(name="fixes 20 Hz correlated", perturb=fixes_correlated, unit="x", sizes=(1.0, 2.0)),
         Kind(name="fix covariance too small", perturb=fix_covariance, unit="x", sizes=(2.0, 4.0, 16.0, 100.0)),
         Kind(name="fix frame drifts", perturb=fix_drift, unit="x", sizes=(0.5, 1.0, 2.0)),
         Kind(name="fix scale", perturb=fix_scale, unit="%", sizes=(1.0, 2.0, 5.0)),
         Kind(name="fix heading", perturb=fix_heading, unit="deg", sizes=(3.0, 10.0, 30.0)),
         Kind(name="fix units", perturb=fix_units, unit="x", sizes=(3.28, 100.0), aids="both"),
         Kind(name="map north", perturb=map_north, unit="deg", sizes=(3.0, 10.0, 30.0), aids="both"),
+        Kind(name="map turned", perturb=map_north, unit="deg", sizes=(3.0, 10.0)),
         Kind(name="map shift", perturb=map_shift, unit="m", sizes=(1.0, 5.0, 20.0), aids="both"),
         Kind(name="height datum", perturb=height_datum, unit="m", sizes=(3.0, 19.4, 50.0), aids="both"),
         Kind(
@@ -254,6 +389,8 @@ KINDS = {
         Kind(name="GNSS lever arm", perturb=gnss_lever, unit="m", sizes=(0.3, 1.0, 3.0), aids="both"),
         Kind(name="antenna switch", perturb=antenna_switch, unit="m", sizes=(1.0, 3.0, 10.0), aids="both"),
         Kind(name="GNSS delay", perturb=gnss_delay, unit="ms", sizes=(40.0, 100.0, 300.0), aids="gnss"),
+        Kind(name="GNSS frozen", perturb=gnss_frozen, unit="s", sizes=(5.0, 20.0), aids="gnss"),
+        Kind(name="GNSS jammed", perturb=gnss_jammed, unit="s", sizes=(3.5,), aids="gnss"),
         Kind(name="GNSS slow error", perturb=gnss_slow, unit="m", sizes=(0.5, 1.0, 2.0), aids="gnss"),
         *_at_fix_periods(
             Kind(name="GNSS off from boot", perturb=gnss_boot, unit="m", sizes=(20.0, 200.0, 5000.0), aids="both", from_s=BOOT_S),
@@ -271,13 +408,13 @@ def _seconds(flight: Flight, message: Input) -> float:
     return (message.t_ns - flight.start_ns) * 1e-9
 
 
-def _direction(rng: Rng) -> Array:
+def direction(rng: Rng) -> Array:
     """A random unit vector, (3,)."""
     v = rng.standard_normal(3)
     return np.asarray(v / np.linalg.norm(v))
 
 
-def _level(rng: Rng) -> Array:
+def level(rng: Rng) -> Array:
     """A random horizontal unit vector, (3,)."""
     angle = rng.uniform(0.0, 2.0 * np.pi)
     return np.array([math.cos(angle), math.sin(angle), 0.0])
@@ -306,7 +443,7 @@ def _fixes(flight: Flight, change: Callable[[PoseFix], PoseFix]) -> list[Input]:
     return [change(m) if isinstance(m, PoseFix) else m for m in flight.messages]
 
 
-def _turned(fix: PoseFix, theta_n: Array) -> PoseFix:
+def turned(fix: PoseFix, theta_n: Array) -> PoseFix:
     """The attitude turned about the axes of n: R = exp(theta_n) R_fix."""
     turned = Rotation.from_rotvec(theta_n) * Rotation.from_quat(fix.q_nb_wxyz, scalar_first=True)
     w, x, y, z = (float(c) for c in turned.as_quat(scalar_first=True))

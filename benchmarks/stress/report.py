@@ -60,6 +60,44 @@ def failures_table(rows: Sequence[Row]) -> Table:
     return Table(f"Runs that fail ({len(failed)} of {len(rows)})", columns, lines)
 
 
+def changes_table(before: Sequence[Row], after: Sequence[Row]) -> Table:
+    """Runs of both versions that fail in one of them only, or whose error differs by a fifth and 5 cm; new failures first."""
+    known = {(r.kind, r.size, r.flight, r.seed): r for r in before}
+    pairs = [(known[key], r) for r in after if (key := (r.kind, r.size, r.flight, r.seed)) in known]
+    found = [(verdict, was, now) for was, now in pairs if (verdict := _verdict(was, now))]
+    found.sort(key=lambda v: (v[0], -_worst(v[2].landfix)))
+    lines = [
+        (verdict, now.kind, size_text(now.kind, now.size), now.flight, str(now.seed), number(was.landfix.rmse_m),
+         number(now.landfix.rmse_m), number(now.naive.rmse_m), number(100.0 * was.landfix.overconfident),
+         number(100.0 * now.landfix.overconfident), ", ".join(failures(now)) or "-")
+        for verdict, was, now in found
+    ]  # fmt: skip
+    columns = (
+        "change",
+        "perturbation",
+        "size",
+        "flight",
+        "seed",
+        "before m",
+        "now m",
+        "naive m",
+        "overconf. before %",
+        "now %",
+        "fails",
+    )
+    failed = sum(bool(failures(was)) for was, _ in pairs), sum(bool(failures(now)) for _, now in pairs)
+    return Table(f"Changes in {len(pairs)} runs: {failed[0]} failed, {failed[1]} fail now", columns, lines)
+
+
+def _verdict(was: Row, now: Row) -> str:
+    """How a run changed; "" where it did not."""
+    failed, fails = bool(failures(was)), bool(failures(now))
+    if failed != fails:
+        return "1 fails" if fails else "2 passes"
+    a, b = _worst(was.landfix), _worst(now.landfix)
+    return "3 worse" if b > max(1.2 * a, a + 0.05) else "4 better" if a > max(1.2 * b, b + 0.05) else ""
+
+
 def _worst(score: Score) -> float:
     return np.inf if score.rmse_m is None else score.rmse_m
 

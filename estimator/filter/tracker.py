@@ -4,6 +4,7 @@ A tracker takes measurements in the order of their validity and changes by nothi
 """
 
 import math
+from dataclasses import replace as replace_in
 
 import numpy as np
 from msgspec.structs import replace
@@ -24,18 +25,18 @@ from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.gnss_anchor import GnssAnchor
 from estimator.filter.hypotheses import Hypotheses, Hypothesis
 from estimator.filter.imu_buffer import ImuBuffer
-from estimator.filter.mismatch import BiasWalk, Delays, PathScale, delay
+from estimator.filter.mismatch import BiasWalk, Delays, PathScale, Scatter, delay
 from estimator.filter.relative import steps
 from estimator.filter.relinearise import Stretch
 from estimator.filter.variance_factor import NO_EXCESS
-from estimator.sources import rest
+from estimator.sources import held, rest
 from estimator.sources.air import drag
 from estimator.sources.air.through_air import AirVelocity, DragForce
 from estimator.sources.imu.choice import ImuAid
 from estimator.sources.landmark import position_innovation
 from estimator.sources.odometry import Kept, OdometryAid
 from estimator.sources.rest import Rest, RestConfig
-from estimator.sources.source import Aid, Phase, Refusal, SensorRules, SourceState
+from estimator.sources.source import Aid, Phase, Refusal, SourceState
 from models import imu, so3
 from models.frames import Origin
 from models.measurements import Conditional, Heading, Measurement, PartialPose, Velocity
@@ -73,6 +74,7 @@ class Tracker(Alignment):
         self.delays: Delays = {}
         self.late_cov: Array | None = None  # (15, 15), by a delay that the newest fix may have
         self.bias_walk = BiasWalk()
+        self.scatter: dict[str, Scatter] = {}  # of sources of positions, and their velocities; never changed in place
 
     def copy(self) -> "Tracker":
         """An independent tracker in the same state; what never changes in place is shared."""
@@ -130,7 +132,7 @@ class Tracker(Alignment):
             self.constants = imu.constants(self.noise, self.config.coast, self.origin)
         lead = Eskf(checkpoint.t_ns, checkpoint.nav.copy(), checkpoint.covariance.copy(), self.constants)
         since_ns = max(checkpoint.last_absolute_ns, checkpoint.t_ns - _LOST_NS)
-        self.hypotheses = Hypotheses([Hypothesis(lead, fused_ns=since_ns, established_ns=since_ns)])
+        self.hypotheses = Hypotheses([Hypothesis(lead, fused_ns=since_ns, run=1, run_ns=since_ns)])
         self.is_aligned = True
         if (last := checkpoint.last_gnss) is not None:
             place, fixed_ns = (last.lat_deg, last.lon_deg, last.alt_m), checkpoint.t_ns - round(last.age_s * 1e9)
@@ -228,10 +230,10 @@ class Tracker(Alignment):
         elif not aid.weighs and not self.is_aligned:
             return Decision(Reason.ALIGNING, detail=_NOT_YET)
         state = self.sources.get(aid.topic, _UNKNOWN)
-        if self._is_stuck(aid, samples):
-            self.sources[aid.topic] = state.held(aid.rules, aid.t_ns)
+        if self._is_held(aid, z, samples):
+            self.sources[aid.topic] = state.held(aid.rules, aid.t_ns) if not aid.weighs else state
             self._forget_estimated(aid, z)
-            return Decision(Reason.STOPPED, detail="it reads the same all the time: stuck")
+            return Decision(Reason.HELD, detail=held.SAYS)
         if aid.t_ns - state.last_ns < aid.hypothetical.spacing_s * 1e9:
             return Decision(Reason.THINNED)
         alone = self._alone(aid)
@@ -290,7 +292,7 @@ class Tracker(Alignment):
         beside = self.without_sensor.bank.members if self.without_sensor is not None else ()
         for member in (*(self.bank.members if self.bank is not None else ()), *beside):
             member.filter.change_imu(aid.shift, aid.sigma)
-            member.filter.constants = self.constants
+            member.adopt(self.constants, doubts_imu=False)
         if self.without_sensor is not None:
             self.without_sensor.stretch = None
         self.stretch = None
@@ -339,7 +341,14 @@ class Tracker(Alignment):
         assert self.hypotheses is not None
         receiver = self.sources.get(aid.receiver or "", _UNKNOWN)  # of a velocity: it stands and falls with its positions
         trusted = state.phase is Phase.ACTIVE and (receiver.phase is Phase.ACTIVE or aid.t_ns > receiver.silent_ns)
+        compared = aid.absolute or aid.receiver is not None
+        if compared and (factor := self.scatter[aid.topic].factor if aid.topic in self.scatter else 1.0) > 1.0:
+            z = replace_in(z, noise=factor * z.noise)
         verdict = self.hypotheses.judge(aid, z, gyro_b, trusted=trusted, vouched=aid.absolute and self._vouched(aid))
+        if compared:
+            known = self.scatter.get(aid.topic) or Scatter(aid.t_ns, ())
+            now = known.also(aid.t_ns, verdict.seen, self.variance_factor.value)
+            self.scatter = {**self.scatter, aid.topic: now}
         if trusted and aid.absolute:
             self._note_variance(aid, verdict.seen)
         if verdict.fused and aid.absolute and alone and not aid.geodetic:  # two sources that disagree are no motion
@@ -359,8 +368,6 @@ class Tracker(Alignment):
         if (found := self.conflicts.apart.get(aid.witness)) and found.lasts and aid.receiver:
             self.hypotheses.cover(aid.witness)
         self.hypotheses.drop(lambda member: bool(self.violation(member.filter)))
-        if trusted:
-            self._note_contradiction(aid, z, foreseen=verdict.foreseen)
         sigma = np.sqrt(verdict.seen.s.diagonal())
         if verdict.fused:
             reason = Reason.FUSED
@@ -382,16 +389,14 @@ class Tracker(Alignment):
         position = position_innovation(z, verdict.seen.nu, verdict.seen.s) if aid.absolute else None
         return Decision(reason, tuple(verdict.seen.nu.tolist()), tuple(sigma.tolist()), ratio, detail, position), state
 
-    def _is_stuck(self, aid: Aid, samples: ImuBuffer) -> bool:
-        """The sensor has read the same for too long for a vehicle in motion."""
-        rules, content = aid.rules, aid.order[-1]
-        if not isinstance(rules, SensorRules) or not rules.stuck_s:
-            return False
+    def _is_held(self, aid: Aid, z: Measurement, samples: ImuBuffer) -> bool:
+        """It reads the same as before, though the vehicle moves."""
+        reading = held.content(z, aid.order[-1])
         known, since_ns = self.same.get(aid.topic, (b"", 0))
-        if known != content:
-            self.same[aid.topic] = content, aid.t_ns
+        if known != reading:
+            self.same[aid.topic] = reading, aid.t_ns
             return False
-        if aid.t_ns - since_ns < rules.stuck_s * 1e9:
+        if aid.t_ns - since_ns < held.spares_ns(z):
             return False
         second = self._stretch(samples)
         return second is not None and not rest.is_quiet(second, _ON_THE_GROUND)
@@ -444,7 +449,7 @@ class Tracker(Alignment):
             self.constants = imu.constants(self.bias_walk.of_noise(self.noise), self.config.coast, self.origin)
             walked = self.bias_walk.walked(before, self.noise)
             for member in self.hypotheses.members:
-                member.filter.constants = self.constants
+                member.adopt(self.constants, doubts_imu=member.doubts_imu)
                 member.filter.widen_biases(walked)
 
     def _alone(self, aid: Aid) -> bool:

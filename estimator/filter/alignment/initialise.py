@@ -123,14 +123,14 @@ def start_from_pose(t_ns: int, z: Pose, constants: Array, config: InitialiseConf
     noise = _symmetric(turn @ z.noise @ turn.T)
     cov[E.P, E.P], cov[E.THETA, E.THETA] = noise[:3, :3], noise[3:, 3:]
     cov[E.P, E.THETA], cov[E.THETA, E.P] = noise[:3, 3:], noise[3:, :3]
-    return Hypotheses([Hypothesis(Eskf(t_ns, x, cov, constants), fused_ns=t_ns, established_ns=t_ns)])
+    return Hypotheses([Hypothesis(Eskf(t_ns, x, cov, constants), fused_ns=t_ns, run=1, run_ns=t_ns)])
 
 
 def start_from_position(t_ns: int, z: Position | Pose, at: Level, constants: Array, config: InitialiseConfig) -> Hypotheses:
     """Eight filters, levelled, at a position fix: one for each eighth of the circle."""
     headings = [2.0 * math.pi * k / _HEADINGS for k in range(_HEADINGS)]
     filters = [_levelled(t_ns, z, at, heading, math.pi / _HEADINGS, constants, config) for heading in headings]
-    return Hypotheses([Hypothesis(f, fused_ns=t_ns, established_ns=t_ns) for f in filters])
+    return Hypotheses([Hypothesis(f, fused_ns=t_ns, run=1, run_ns=t_ns) for f in filters])
 
 
 def start_from_attitude(
@@ -160,7 +160,7 @@ def start_from_heading(
     if seen.objection(begun.x):
         return None
     begun.update(innovation(begun, aid, seen, np.zeros(3)))
-    return Hypotheses([Hypothesis(begun, fused_ns=t_ns, established_ns=t_ns)])
+    return Hypotheses([Hypothesis(begun, fused_ns=t_ns, run=1, run_ns=t_ns)])
 
 
 def agrees(bank: Hypotheses, prior: Pose) -> bool:

@@ -5,7 +5,7 @@ contradict it later: it keeps the false one and locks the true ones out. So the 
 
 * a fix is fused although a false reading would explain it nearly as well (as after an outage): a *sceptic* goes on without it,
   and without whatever agrees with it;
-* a fix fails the gate: a *believer* goes on with it;
+* a fix fails the gate: a *follower* goes on with it;
 * a receiver may be misled for long: one goes on *without* it (left_out.py).
 
     true:          w <- w + ln N(nu; 0, S)                      false:  w <- w + ln(e u)
@@ -25,10 +25,10 @@ its weight stays above ln(1 - trust). A fix that a hypothesis takes and the lead
 count alike in the covariance until it is decided, and once decided it is not open again while other sources confirm the leading
 one.
 
-A believer starts with at least the weight of "the filter itself is wrong", whatever its distance, so that consistent fixes are
-accepted in the end and never locked out: after as long as the leading hypothesis has stood itself (5 s to reset_after_s),
-sooner when it has long been unaided. A cluster of consistent false fixes that is shorter does not win. (Multiple hypothesis
-tracking; Blackman and Popoli 1999, ch. 16.)
+A follower takes every fix that nobody predicts: the IMU was wrong since the last fix, or the estimate stands elsewhere. So
+consistent fixes are never locked out. They win when they are more than those of the leading hypothesis by three
+(hypothesis.holds_s). Once it leads, the IMU is right again by a branch that its next fixes confirm.
+(Multiple hypothesis tracking; Blackman and Popoli 1999, ch. 16.)
 """
 
 import math
@@ -45,17 +45,19 @@ from estimator.filter.hypotheses.left_out import LEFT_OUT_S
 from estimator.filter.hypotheses.mixture import covariance, ln_sum
 from estimator.sources.gating import gate
 from estimator.sources.source import Aid
-from models.measurements import Measurement
+from models import imu
+from models.measurements import Measurement, mahalanobis
 from models.messages import Array
-from models.state import X
+from models.state import E, X
 
 _MOST = 4  # hypotheses at a time, those without a receiver not counted
 _MARGIN = 3.0  # ln: by which another must be better
 _LEAST_DOUBT = 1.0  # ln: a sceptic starts at least this far behind
-_LEAST_CONTRADICTION_S = 2.0  # contradiction shorter than this never wins
-_SMALL_EXCESS = 4.0  # squared distance over the gate: twice the largest distance that passes
 _TINY = 1e-9
-_OVERCONFIDENT, _OVERCONFIDENT_SHARE = 9.0, 0.1  # one filter in ten is taken to have errors three times what it says
+_UNSEEN_S, _FORGOTTEN_S = 0.5, 60.0  # a wrong IMU has been so for as long as since the last fix, but within these limits
+AGAIN_S = 0.2  # a fix that is refused again costs 1 / AGAIN_S a second, ln
+_SEEN = 3.0  # ln: so far behind the leading one a new follower counts in the covariance
+_NOISIER = 256.0  # times the variance that a source claims
 
 
 class Verdict(NamedTuple):
@@ -143,7 +145,7 @@ class Hypotheses:
             seen.append(seen[0])
             passed.append(True)
         set_aside = left_out.is_confirmed(self.members[0], aid)
-        believer = self._believer(aid, z, gyro_b, seen, limit) if aid.absolute and not any(passed) and not set_aside else None
+        follower = self._follower(aid, z, gyro_b, limit, vouched) if aid.absolute and not any(passed) and not set_aside else None
         born: list[Hypothesis] = []
         anew = aid.absolute and not set_aside and not passed[0] and aid.topic not in self.members[0].doubts
         agreement = self._agreement(aid, seen, passed)
@@ -177,18 +179,23 @@ class Hypotheses:
             elif passed[k] and not set_aside and not aid.receiver:
                 member.without = ""  # no other one follows the receiver, which agrees: it is judged again
                 answer(k)
-        if anew and not believer:
-            self._raise_alternative(aid, fused)
-        at_fix = left_out.moved(self.members[0], aid, z, gyro_b, seen[0]) if believer and self.members[0].receiver else None
+        if anew and not follower:
+            self._raise_alternative(aid, fused, vouched)
+        at_fix = left_out.moved(self.members[0], aid, z, gyro_b, seen[0]) if follower and self.members[0].receiver else None
         for member, was_fused in zip(self.members, fused, strict=True):
             doubt = member.doubts.get(aid.topic)
             if was_fused != fused[0] and not (doubt and doubt.deliberate):
                 member.parted_ns = aid.t_ns
         left_out.begin_again(self.members, aid, fused, at_fix, seen)
-        self.members += born + ([believer] if believer else [])
+        if follower:
+            follower.weight += self.members[0].weight
+            born.append(follower)
+        self.members += born
         if at_fix:
             left_out.add_at_fix(self.members, at_fix, aid)
-        self._rank(aid.t_ns, believer)
+        if aid.absolute and fused[0] and self.members[0].doubts_imu:
+            self._trust_imu_again(aid.t_ns)
+        self._rank(aid.t_ns, follower)
         return Verdict(seen[0], limit, passed[0], fused[0], foreseen=any(passed) or set_aside)
 
     def _forgo_breadth(self, seen: list[Innovation], gained: dict[int, float], fused: list[bool]) -> None:
@@ -259,7 +266,11 @@ class Hypotheses:
         doubts = [m.doubts.get(aid.topic) for m in self.members]
         if not any(doubts):  # most of the time
             return [None] * len(doubts)
-        fades = [-(aid.t_ns - doubt.last_ns) * 1e-9 / aid.hypothetical.fault_s if doubt else 0.0 for doubt in doubts]
+        rules = aid.hypothetical
+        fades = [
+            -(aid.t_ns - doubt.last_ns) * 1e-9 / (rules.fault_s if doubt.deliberate else AGAIN_S) if doubt else 0.0
+            for doubt in doubts
+        ]
         believe = [j for j, doubt in enumerate(doubts) if passed[j] and doubt is None]
         predicted = self._predicted(believe, seen)
         again = [
@@ -306,7 +317,7 @@ class Hypotheses:
             member.weight += by_receiver
             return False
         if doubt and agreement is not None and (doubt.deliberate or not passed or agreement > true + _MARGIN):
-            member.weight += agreement
+            member.weight += agreement if doubt.deliberate or not aid.absolute else max(agreement, _noisier(aid, seen))
             member.benefit = max(member.benefit - (aid.t_ns - doubt.last_ns) * 1e-9 / aid.hypothetical.fault_s, 0.0)
             doubt.last_ns = aid.t_ns
             return False
@@ -333,7 +344,9 @@ class Hypotheses:
                 if lead_refuses and behind < FORGET and not self._is_decided(aid):
                     member.benefit = max(member.benefit, behind)  # until it is decided, the covariance covers both
             return True
-        member.weight += aid.log_false
+        member.weight += max(aid.log_false, _noisier(aid, seen))
+        if k and member.doubts_imu and aid.absolute:  # its fixes do not agree among themselves
+            member.weight -= (aid.t_ns - member.fused_ns) * 1e-9 / AGAIN_S
         member.doubts[aid.topic] = Doubt(aid.t_ns, deliberate=False)
         return False
 
@@ -351,58 +364,65 @@ class Hypotheses:
             default=-math.inf,
         )
 
-    def _believer(self, aid: Aid, z: Measurement, gyro_b: Array, by: list[Innovation], limit: float) -> Hypothesis | None:
-        """The leading hypothesis gone wrong: fuses what contradicts it, as much less certain as the contradiction is large.
+    def _follower(self, aid: Aid, z: Measurement, gyro_b: Array, limit: float, vouched: bool) -> Hypothesis | None:
+        """The leading hypothesis gone wrong since its last fix, which fuses what nobody predicts.
 
-        It inherits the weight of a hypothesis that fused the last fix and rejects this one by a small distance, as of fixes that
-        drift. It does not for a receiver, whose fixes share their error.
+        By the IMU: P <- P + Q(dt) of an unknown motion, which goes on. Where that does not explain the fix: the estimate stands
+        elsewhere, with the motion that it had, P_pp <- P_pp + nu_p nu_p^T; the same for the attitude.
         """
-        seen = by[0]
+        lead = self.members[0]
+        follower = lead.copy()
+        follower.without, follower.doubts = "", {}
+        follower.adopt(lead.filter.constants if lead.right is None else lead.right, doubts_imu=True)
+        eskf = follower.filter
+        for block in list(eskf.clones):  # nobody knows whether a kept pose has jumped, too
+            eskf.forget(block)
+        since_s = min(max((aid.t_ns - lead.fused_ns) * 1e-9, _UNSEEN_S), _FORGOTTEN_S)
+        eskf.cov[: E.SIZE, : E.SIZE] += imu.unknown_motion(eskf.constants, since_s)
+        seen = innovation(eskf, aid, z, gyro_b)
         if not math.isfinite(seen.distance2):
             return None
-        believer = self.members[0].copy()
-        believer.without = ""
-        dof = len(seen.nu)
-        overconfident = (
-            math.log(_OVERCONFIDENT_SHARE) + seen.log_likelihood
-            + 0.5 * seen.distance2 * (1.0 - 1.0 / _OVERCONFIDENT) - 0.5 * dof * math.log(_OVERCONFIDENT)
-        )  # fmt: skip
-        most = aid.log_false + _MARGIN - _LEAST_CONTRADICTION_S / aid.hypothetical.fault_s
-        believer.weight += min(max(overconfident, self._broken(aid)), most)
-        earlier = max(
-            (
-                m.weight
-                for m, its in zip(self.members[1:], by[1:], strict=True)
-                if aid.log_misled is None
-                and aid.topic not in m.doubts
-                and not m.without
-                and its.distance2 <= _SMALL_EXCESS * limit
-            ),
-            default=-math.inf,
-        )
-        believer.weight = max(believer.weight, earlier + aid.log_false)
-        believer.fused_ns = believer.established_ns = believer.parted_ns = aid.t_ns
-        believer.doubts.pop(aid.topic, None)
-        believer.filter.widen(math.sqrt(seen.distance2 / dof))
-        believer.filter.update(innovation(believer.filter, aid, z, gyro_b))
-        return believer
+        by_imu = seen.distance2 <= limit
+        if not by_imu:
+            for block in (E.P, E.THETA):
+                off = seen.h[:, block].T @ seen.nu
+                eskf.cov[block, block] += np.outer(off, off)
+            seen = innovation(eskf, aid, z, gyro_b)
+        follower.weight = self._behind(aid, vouched=vouched, by_imu=by_imu)  # the leading one
+        follower.benefit = max(-follower.weight - _SEEN, 0.0)
+        follower.fused_ns = follower.run_ns = follower.parted_ns = aid.t_ns
+        follower.run = 1
+        eskf.update(seen)
+        return follower
 
-    def _raise_alternative(self, aid: Aid, fused: list[bool]) -> None:
-        """The leading hypothesis begins to reject fixes that another one fuses: that one gets at least a believer's weight."""
+    def _raise_alternative(self, aid: Aid, fused: list[bool], vouched: bool) -> None:
+        """The leading hypothesis begins to reject fixes that another one fuses: that one gets at least a follower's weight."""
         others = [m for m, was_fused in zip(self.members, fused, strict=True) if was_fused and not m.without]
         if others:
             best = max(others, key=lambda m: m.weight)
-            best.weight = max(best.weight, self.members[0].weight - aid.log_false + self._broken(aid))
+            best.weight = max(best.weight, self.members[0].weight + self._behind(aid, vouched=vouched, by_imu=best.doubts_imu))
 
-    def _broken(self, aid: Aid) -> float:
-        """ln of the weight of "the leading filter is wrong": consistent fixes take over when its patience (s) has passed."""
-        patience_s = self.members[0].patience_s(aid.t_ns, aid.hypothetical.reset_after_s)
-        return aid.log_false + _MARGIN - max(patience_s, _LEAST_CONTRADICTION_S) / aid.hypothetical.fault_s
+    def _behind(self, aid: Aid, *, vouched: bool, by_imu: bool) -> float:
+        """ln, by how much what contradicts the leading hypothesis begins behind it: refused fixes make it up while they last."""
+        lead, rules = self.members[0], aid.hypothetical
+        holds_s = lead.holds_s(aid.t_ns, imu_may_be_wrong=by_imu)
+        if vouched and not lead.doubts.keys() - {aid.topic}:  # another source confirms it
+            holds_s = max(holds_s, min((lead.fused_ns - lead.run_ns) * 1e-9, rules.reset_after_s))
+        return _MARGIN - holds_s / AGAIN_S
 
-    def _rank(self, t_ns: int, believer: Hypothesis | None = None) -> None:
+    def _trust_imu_again(self, t_ns: int) -> None:
+        """The leading hypothesis takes the IMU for wrong: from its newest fix on another one takes it for right again."""
+        lead = self.members[0]
+        assert lead.right is not None
+        other = lead.copy()
+        other.adopt(lead.right, doubts_imu=False)
+        other.weight, other.parted_ns = lead.weight - _MARGIN, t_ns
+        self.members.append(other)
+
+    def _rank(self, t_ns: int, follower: Hypothesis | None = None) -> None:
         """Let the heaviest lead if its margin is enough; drop those that are far behind or no longer differ.
 
-        Where there are too many, a new believer replaces the least likely one, because all others have rejected the fix.
+        Where there are too many, a new follower replaces the least likely one, because all others have rejected the fix.
         """
         if len(self.members) == 1:  # most of the time
             self.members[0].weight = 0.0
@@ -420,8 +440,8 @@ class Hypotheses:
         kept = [m for m in others if m.without and (t_ns - m.fused_ns) * 1e-9 < LEFT_OUT_S]
         others = [m for m in others if not m.without and m.matters_beside(lead) and not m.has_settled(t_ns)]
         others.sort(key=lambda m: -(m.weight + m.benefit))
-        if believer in others[_MOST - 1 :]:
-            others[_MOST - 2] = believer
+        if follower in others[_MOST - 1 :]:
+            others[_MOST - 2] = follower
         self.members = [lead, *others[: _MOST - 1], *kept]
         top = lead.weight
         for member in self.members:
@@ -443,3 +463,9 @@ class Hypotheses:
         """The leading hypothesis has won against this source, and other ones still confirm it: it is not in question again."""
         lead = self.members[0]
         return aid.topic in lead.decided and (aid.t_ns - lead.fused_ns) * 1e-9 < LEFT_OUT_S
+
+
+def _noisier(aid: Aid, seen: Innovation) -> float:
+    """ln of the density of a reading whose source is noisier than it claims: e N(nu; 0, S + (n - 1) R)."""
+    distance2, logdet = mahalanobis(seen.nu, seen.s + (_NOISIER - 1.0) * seen.noise)
+    return math.log(aid.rules.false_share) - 0.5 * (distance2 + logdet + len(seen.nu) * math.log(2.0 * math.pi))

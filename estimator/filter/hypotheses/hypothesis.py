@@ -4,12 +4,16 @@ import math
 from dataclasses import dataclass, field, replace
 
 from estimator.filter.eskf import Eskf
+from models import imu
+from models.messages import Array
 
 FORGET = 20.0  # ln: further behind the leading one than this, a hypothesis is dropped
 _SHOWS = 9.2  # ln 10,000: further behind, the covariance leaves it out; a gate refuses one in as many good readings
-LEAST_PATIENCE_S = 5.0  # contradiction shorter than this never wins against a hypothesis that is being aided
-_TRUST_FADES_S = 10.0  # without an absolute fix for so long, the filter itself is doubted twice as fast
 _SETTLED_S = 20.0  # a hypothesis that has agreed with the leading one for so long goes
+_RUN_ENDS_S = 5.0  # without a fix for so long, a run of consistent fixes ends
+_LEAST_S, _MORE = 3.0, 3  # a run of fixes wins that is longer by so many of them, but lasts for so long at least
+_ENOUGH_S, _ENOUGH = 5.0, 11  # longer than both, it wins against any other one
+_PERIOD_S = 2.0  # between fixes, where it is not known
 
 
 @dataclass(slots=True)
@@ -24,19 +28,21 @@ class Doubt:
 class Hypothesis:
     """One filter and the logarithm of its weight.
 
-    fused_ns: when it last fused a position; established_ns: since when it has done so without a long break; parted_ns: when it
-    last differed from the leading one; doubts: what it takes for false, by topic; benefit: ln, of the doubt that a sceptic
-    stands for: it counts for so much more in the covariance than in the decision; without: the topic of the receiver that it
-    leaves out for good; least: ln, below which its weight does not fall, for that receiver may be misled at any time; decided:
+    fused_ns: when it last fused a position; run, run_ns: how many it has fused without a long break, and since when; parted_ns:
+    when it last differed from the leading one; doubts: what it takes for false, by topic; benefit: ln, of the doubt that a
+    sceptic stands for: it counts for so much more in the covariance than in the decision; without: the topic of the receiver that
+    it leaves out for good; least: ln, below which its weight does not fall, for that receiver may be misled at any time; decided:
     topics that it rejects since a conflict that it has won; receiver: the last one that it fused, and ln(1 - trust) of it;
     begun_at_fix: and nothing has confirmed it yet; refuted_ns: when one such was last refuted; agreed_ns: since when the
-    positions of the receiver that it leaves out pass its gate.
+    positions of the receiver that it leaves out pass its gate; right: the constants of an IMU that is right, where it takes it for
+    wrong.
     """
 
     filter: Eskf
     weight: float = 0.0
     fused_ns: int = 0
-    established_ns: int = 0
+    run: int = 0
+    run_ns: int = 0
     parted_ns: int = 0
     doubts: dict[str, Doubt] = field(default_factory=dict)
     benefit: float = 0.0
@@ -47,16 +53,28 @@ class Hypothesis:
     begun_at_fix: bool = False
     refuted_ns: int = -(2**62)
     agreed_ns: int | None = None
+    right: Array | None = None
 
     def copy(self) -> "Hypothesis":
         """An independent hypothesis in the same state."""
         doubts = {topic: Doubt(d.last_ns, d.deliberate) for topic, d in self.doubts.items()}
         return replace(self, filter=self.filter.copy(), doubts=doubts)
 
+    @property
+    def doubts_imu(self) -> bool:
+        """It takes the IMU for wrong."""
+        return self.right is not None
+
+    def adopt(self, constants: Array, *, doubts_imu: bool) -> None:
+        """The constants of the motion, which are others where the IMU is taken for wrong."""
+        self.right = constants if doubts_imu else None
+        self.filter.constants = imu.in_doubt(constants) if doubts_imu else constants
+
     def note_fused(self, t_ns: int) -> None:
         """A position was fused."""
-        if (t_ns - self.fused_ns) * 1e-9 > LEAST_PATIENCE_S:
-            self.established_ns = t_ns
+        if not self.run or (t_ns - self.fused_ns) * 1e-9 > _RUN_ENDS_S:
+            self.run, self.run_ns = 0, t_ns
+        self.run += 1
         self.fused_ns = t_ns
 
     @property
@@ -78,8 +96,14 @@ class Hypothesis:
         """It has agreed with the leading hypothesis for so long that there is no question any more."""
         return (t_ns - self.parted_ns) * 1e-9 >= _SETTLED_S
 
-    def patience_s(self, t_ns: int, most_s: float) -> float:
-        """How long consistent contradiction must last: as long as the hypothesis itself has stood, less when it is unaided."""
-        stood_s = (self.fused_ns - self.established_ns) * 1e-9
-        unaided_s = (t_ns - self.fused_ns) * 1e-9
-        return min(max(stood_s, LEAST_PATIENCE_S), most_s) / (1.0 + unaided_s / _TRUST_FADES_S)
+    def holds_s(self, t_ns: int, *, imu_may_be_wrong: bool) -> float:
+        """For how long consistent fixes that it refuses, the first at t_ns, have to last until they win.
+
+        A run is decided by a longer one: its length and three fixes more. An error that a wrong IMU makes needs the three alone.
+        """
+        run_s = (self.fused_ns - self.run_ns) * 1e-9
+        period_s = min((t_ns - self.fused_ns) * 1e-9, run_s / (self.run - 1) if self.run > 1 else _PERIOD_S)
+        if imu_may_be_wrong:
+            return max(_LEAST_S, (_MORE - 1) * period_s) - 0.1 * period_s
+        most_s = max(_ENOUGH_S, (_ENOUGH - 1) * period_s)
+        return min(max(_LEAST_S, run_s + _MORE * period_s), most_s) - 0.1 * period_s

@@ -61,7 +61,7 @@ def moved(lead: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, seen: Innov
     cov[E.V, E.V] += _PULL_M_S**2 * np.eye(3)
     other.doubts.pop(aid.topic, None)
     other.filter.update(innovation(other.filter, aid, z, gyro_b))
-    other.fused_ns = other.established_ns = aid.t_ns
+    other.fused_ns, other.run, other.run_ns = aid.t_ns, 1, aid.t_ns
     other.begun_at_fix = True
     return other
 

@@ -4,5 +4,6 @@ from estimator.filter.mismatch import delay
 from estimator.filter.mismatch.bias_walk import BiasWalk
 from estimator.filter.mismatch.delay import Delays
 from estimator.filter.mismatch.path_scale import PathScale
+from estimator.filter.mismatch.scatter import Scatter
 
-__all__ = ["BiasWalk", "Delays", "PathScale", "delay"]
+__all__ = ["BiasWalk", "Delays", "PathScale", "Scatter", "delay"]

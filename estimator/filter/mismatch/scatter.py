@@ -1,0 +1,48 @@
+"""A source that is noisier than it claims: its readings scatter about one another, whatever the estimate is.
+
+    d_k = nu_k - 2 nu_{k-1} + nu_{k-2},   r_k = d_k^T (S_k + 4 S_{k-1} + S_{k-2})^-1 d_k
+    R <- s R,   s = max(2 r_(5) / m_50 where r_(3) > chi2_0.96, s exp(-dt / tau))
+
+r_(k): the k-th smallest of the last seven; m_50: the median of chi-square. Twice, for the noise may still grow. An offset, a
+drift, a pull or a filter that is wrong leave the second differences small; a jammed receiver makes all of them large; of outliers,
+not even three in ten make five of seven large.
+"""
+
+import math
+from typing import NamedTuple
+
+from estimator.filter.eskf import Innovation
+from estimator.sources.gating import gate
+from models.measurements import mahalanobis
+from models.messages import Array
+
+_WINDOW, _RANK, _SIZE_RANK = 7, 3, 5
+_GROWS, _LARGEST, _GONE = 2.0, 1e6, 1.1
+_USUAL = 0.96
+_APART_S = 1.1  # readings further apart are not compared
+_FADES_S = 5.0
+
+
+class Scatter(NamedTuple):
+    """Of one source: factor s; r of its last readings; nu (m,) and S (m, m) of the newest two, at t_ns."""
+
+    t_ns: int
+    last: tuple[tuple[Array, Array], ...]
+    ratios: tuple[float, ...] = ()
+    factor: float = 1.0
+
+    def also(self, t_ns: int, seen: Innovation, variance_factor: float) -> "Scatter":
+        """With one more innovation, whose noise was taken as self.factor times what the source claims."""
+        s = seen.s / variance_factor - (1.0 - 1.0 / self.factor) * seen.noise
+        seconds = (t_ns - self.t_ns) * 1e-9
+        if self.last and (len(seen.nu) != len(self.last[-1][0]) or seconds > _APART_S):
+            return Scatter(t_ns, ((seen.nu, s),))
+        faded = 1.0 + (self.factor - 1.0) * math.exp(-seconds / _FADES_S)
+        factor, ratios, last = faded if faded > _GONE else 1.0, self.ratios, (*self.last[-1:], (seen.nu, s))
+        if len(self.last) == 2:
+            (nu_2, s_2), (nu_1, s_1) = self.last
+            ratios = (*ratios[1 - _WINDOW :], mahalanobis(seen.nu - 2.0 * nu_1 + nu_2, s + 4.0 * s_1 + s_2)[0])
+            dof = len(seen.nu)
+            if len(ratios) == _WINDOW and (ordered := sorted(ratios))[_RANK - 1] > gate(_USUAL, dof):
+                factor = max(factor, min(_GROWS * ordered[_SIZE_RANK - 1] / gate(0.5, dof), _LARGEST))
+        return Scatter(t_ns, last, ratios, factor)

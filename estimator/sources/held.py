@@ -1,0 +1,80 @@
+"""Held values: a reading that equals the last one to the bit while the vehicle moves is no measurement.
+
+Drivers repeat their last value when a sensor stalls, bridges copy a slow topic into a fast one, and an axis of an IMU that has
+failed reads the same for ever. Noise makes two readings of a sensor that works differ.
+"""
+
+import numpy as np
+
+from models.frames import GRAVITY
+from models.measurements import Measurement, Pose, Position, Velocity
+from models.messages import ImuSample
+
+SAYS = "the same reading to the bit, though the vehicle moves"
+OTHERS_NS = 1_000_000_000  # of sensors that read in coarse steps
+_ALL_NS, _AXIS_NS, _FEWEST = 100_000_000, 500_000_000, 5  # of the IMU, and samples in a row
+_RESTS_RAD_S, _RESTS_M_S2 = 0.05, 0.5
+_NAMES = ("gyroscope x", "gyroscope y", "gyroscope z", "accelerometer x", "accelerometer y", "accelerometer z")
+
+
+def content(z: Measurement, other: bytes) -> bytes:
+    """What is compared: the value without its accuracy; other: of sensors that measure nothing of these."""
+    match z:
+        case Pose():
+            return z.z_n.tobytes() + z.q_nb_wxyz.tobytes()
+        case Position() | Velocity():
+            return z.z_n.tobytes()
+        case _:
+            return other
+
+
+def spares_ns(z: Measurement) -> int:
+    """For how long a sensor may read the same."""
+    return 0 if isinstance(z, Pose | Position | Velocity) else OTHERS_NS
+
+
+class HeldImu:
+    """Which values of an IMU are held: all six for 0.1 s, or one axis for 0.5 s that has read otherwise before."""
+
+    __slots__ = ("_alive", "_count", "_last", "_newest_ns", "_since_ns")
+
+    def __init__(self) -> None:
+        self._last: tuple[float, ...] = ()
+        self._since_ns, self._count = [0] * len(_NAMES), [0] * len(_NAMES)
+        self._alive = [False] * len(_NAMES)
+        self._newest_ns = -(2**62)
+
+    def note(self, sample: ImuSample) -> str:
+        """Take the next sample; which values are held, or "" where it can be used. A late one is used."""
+        u = sample.gyro_b + sample.accel_b
+        if sample.t_ns <= self._newest_ns:
+            return ""
+        self._newest_ns = sample.t_ns
+        if not self._last:
+            self._last, self._since_ns = u, [sample.t_ns] * len(u)
+            return ""
+        held = False
+        for axis, (before, now) in enumerate(zip(self._last, u, strict=True)):
+            if before == now:
+                self._count[axis] += 1
+                held = True
+            else:
+                self._since_ns[axis], self._count[axis], self._alive[axis] = sample.t_ns, 0, True
+        self._last = u
+        return self._judge(sample) if held else ""
+
+    def _judge(self, sample: ImuSample) -> str:
+        """What is held, where an axis reads as before."""
+        for_ns = [sample.t_ns - since_ns for since_ns in self._since_ns]
+        if min(self._count) >= _FEWEST and min(for_ns) > _ALL_NS:
+            return "" if _rests(sample) else SAYS
+        axes = [k for k, n in enumerate(self._count) if n >= _FEWEST and self._alive[k] and for_ns[k] > _AXIS_NS]
+        if not axes or _rests(sample):
+            return ""
+        return f"{', '.join(_NAMES[k] for k in axes)}: {SAYS}"
+
+
+def _rests(sample: ImuSample) -> bool:
+    """Whether a sample may be of a vehicle at rest: a value that is held then does no harm, and noise may be below a step."""
+    rate, force = np.linalg.norm(sample.gyro_b), np.linalg.norm(sample.accel_b)
+    return bool(rate < _RESTS_RAD_S and abs(force - GRAVITY) < _RESTS_M_S2)
