@@ -135,8 +135,17 @@ def _shown(value: Any) -> str:
     return toml_text.one_line(text, 80)
 
 
+_REMOVED = {
+    "fault_s": "leave it out: estimator/sources/faults.py has the durations of faults",
+    "reset_after_s": "leave it out: consistent fixes win when they are more than those that they contradict",
+    "stuck_s": "leave it out: a reading that is equal to the bit in motion is never used",
+}
+
+
 def _unknown(key: str, known: list[str], path: str) -> str:
     key = toml_text.one_line(key, 80)
+    if key in _REMOVED and path:
+        return f"key '{key}' in [{path}] was removed: {_REMOVED[key]}"
     near = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
     hint = f"; did you mean '{near[0]}'?" if near else ";"
     where, what = (f"key '{key}' in [{path}]", f"keys of [{path}]") if path else (f"section [{key}]", "sections")

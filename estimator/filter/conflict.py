@@ -17,14 +17,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from estimator.sources.faults import MAP_ELSEWHERE, MAP_ELSEWHERE_M
 from estimator.sources.gating import gate
 from estimator.sources.source import Aid
 from models.measurements import Measurement, Pose, Position
 from models.messages import Array
 
 _XYZ = 3
-_MAP_IS_WRONG = 0.05  # w_0
-_MAP_OFF_M = 20.0  # d_0
 _SHOWS = 2.0  # times d_0: w is a fiftieth of w_0
 _LASTS_NS = 1_000_000_000  # shorter ones are outliers
 _NEAR = 0.1  # share of the positions of a receiver that is right which are nearer
@@ -46,12 +45,12 @@ class Apart(NamedTuple):
     @property
     def may_be_right(self) -> bool:
         """It shows in the covariance."""
-        return float(self.off @ self.off) < (_SHOWS * _MAP_OFF_M) ** 2
+        return float(self.off @ self.off) < (_SHOWS * MAP_ELSEWHERE_M) ** 2
 
     @property
     def added(self) -> Array:
         """To the covariance of the position, (3, 3)."""
-        weight = _MAP_IS_WRONG * math.exp(-float(self.off @ self.off) / _MAP_OFF_M**2)
+        weight = MAP_ELSEWHERE * math.exp(-float(self.off @ self.off) / MAP_ELSEWHERE_M**2)
         return weight * (self.s + np.outer(self.off, self.off))
 
     @property

@@ -39,7 +39,7 @@ from estimator.sources.rest import Rest, RestConfig
 from estimator.sources.source import Aid, Phase, Refusal, SourceState
 from models import imu, so3
 from models.frames import Origin
-from models.measurements import Conditional, Heading, Measurement, PartialPose, Velocity
+from models.measurements import Conditional, Heading, Measurement, PartialPose, Pose, Position, Velocity
 from models.messages import Array, Checkpoint, Mode, Reason
 from models.state import E, X
 
@@ -53,6 +53,7 @@ _NOT_YET = "used once the attitude is known: false axes would mislead the alignm
 _XYZ = 3
 _MOVES = 2  # velocities, seconds apart, that are not zero: what looks at rest goes on so
 _ON_THE_GROUND = RestConfig()
+_USELESS = 100.0  # times the variance that a source claims, and it is no aid
 _FELT = frozenset({rest.TOPIC, drag.TOPIC})
 
 
@@ -230,7 +231,7 @@ class Tracker(Alignment):
         elif not aid.weighs and not self.is_aligned:
             return Decision(Reason.ALIGNING, detail=_NOT_YET)
         state = self.sources.get(aid.topic, _UNKNOWN)
-        if self._is_held(aid, z, samples):
+        if aid.kind not in _FELT and self._is_held(aid, z, samples):
             self.sources[aid.topic] = state.held(aid.rules, aid.t_ns) if not aid.weighs else state
             self._forget_estimated(aid, z)
             return Decision(Reason.HELD, detail=held.SAYS)
@@ -341,12 +342,11 @@ class Tracker(Alignment):
         assert self.hypotheses is not None
         receiver = self.sources.get(aid.receiver or "", _UNKNOWN)  # of a velocity: it stands and falls with its positions
         trusted = state.phase is Phase.ACTIVE and (receiver.phase is Phase.ACTIVE or aid.t_ns > receiver.silent_ns)
-        compared = aid.absolute or aid.receiver is not None
-        if compared and (factor := self.scatter[aid.topic].factor if aid.topic in self.scatter else 1.0) > 1.0:
-            z = replace_in(z, noise=factor * z.noise)
+        known = self.scatter.get(aid.topic) or Scatter(aid.t_ns, ())
+        if known.factor > 1.0 and isinstance(z, Pose | Position | Velocity):
+            z = replace_in(z, noise=known.factor * z.noise)
         verdict = self.hypotheses.judge(aid, z, gyro_b, trusted=trusted, vouched=aid.absolute and self._vouched(aid))
-        if compared:
-            known = self.scatter.get(aid.topic) or Scatter(aid.t_ns, ())
+        if (aid.absolute or aid.receiver) and isinstance(z, Pose | Position | Velocity):
             now = known.also(aid.t_ns, verdict.seen, self.variance_factor.value)
             self.scatter = {**self.scatter, aid.topic: now}
         if trusted and aid.absolute:
@@ -371,7 +371,8 @@ class Tracker(Alignment):
         sigma = np.sqrt(verdict.seen.s.diagonal())
         if verdict.fused:
             reason = Reason.FUSED
-            self._note_absolute(aid, z)
+            if known.factor < _USELESS:
+                self._note_absolute(aid, z)
         elif trusted or not verdict.passed:
             reason = Reason.GATED
         else:
@@ -396,7 +397,7 @@ class Tracker(Alignment):
         if known != reading:
             self.same[aid.topic] = reading, aid.t_ns
             return False
-        if aid.t_ns - since_ns < held.spares_ns(z):
+        if aid.t_ns - since_ns < held.spares_ns(z, aid.kind):
             return False
         second = self._stretch(samples)
         return second is not None and not rest.is_quiet(second, _ON_THE_GROUND)

@@ -26,20 +26,9 @@ class BaroConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
     """[baro]: its noise and its slow errors; it is used where [inputs] baro names a topic."""
 
     false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of measurements expected to be false")] = 0.01
-    fault_s: Annotated[
-        float,
-        Meta(
-            ge=1e-3,
-            le=1e6,
-            description="s: expected duration of a fault that repeats itself (a port in the wind, weather)",
-        ),
-    ] = 60.0
     spacing_s: Annotated[
         float, Meta(ge=0, le=3600, description="s: errors of readings closer than this are the same; only one of them is fused")
     ] = 1.0
-    stuck_s: Annotated[
-        float, Meta(ge=0, le=3600, description="s: the same reading for so long, though the IMU is in motion, is stuck; 0: never")
-    ] = 30.0
     sigma_m: Annotated[
         float, Meta(ge=1e-3, le=1e4, description="m: error by gusts and airspeed; a message's own noise is added")
     ] = 2.0

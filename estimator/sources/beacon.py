@@ -79,9 +79,6 @@ class BeaconConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
     """[beacon]: ranges to known beacons (UWB); they are used where [inputs] beacon names topics."""
 
     false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of measurements expected to be false")] = 0.05
-    fault_s: Annotated[
-        float, Meta(ge=1e-3, le=1e6, description="s: expected duration of a fault that repeats itself (a wall in the way)")
-    ] = 10.0
     spacing_s: Annotated[
         float, Meta(ge=0, le=3600, description="s: errors of readings closer than this are the same; only one of them is fused")
     ] = 0.2

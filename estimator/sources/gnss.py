@@ -43,10 +43,6 @@ class GnssConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
     """[gnss]: delay, lever arm, noise where the receiver gives none, and how the source is judged."""
 
     false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of measurements expected to be false")] = 0.01
-    fault_s: Annotated[float, Meta(ge=1e-3, le=1e6, description="s: expected duration of a fault that repeats itself")] = 10.0
-    reset_after_s: Annotated[
-        float, Meta(ge=1e-3, le=1e6, description="s: duration of consistent rejection after which the filter is reset to GNSS")
-    ] = 60.0
     probation: Annotated[
         int,
         Meta(

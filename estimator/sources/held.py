@@ -11,7 +11,8 @@ from models.measurements import Measurement, Pose, Position, Velocity
 from models.messages import ImuSample
 
 SAYS = "the same reading to the bit, though the vehicle moves"
-OTHERS_NS = 1_000_000_000  # of sensors that read in coarse steps
+_OTHERS_NS = 1_000_000_000  # of sensors that read in coarse steps
+_STEADY = frozenset({"velocity_body"})  # a wheel or a log reads the same while the speed is steady
 _ALL_NS, _AXIS_NS, _FEWEST = 100_000_000, 500_000_000, 5  # of the IMU, and samples in a row
 _RESTS_RAD_S, _RESTS_M_S2 = 0.05, 0.5
 _NAMES = ("gyroscope x", "gyroscope y", "gyroscope z", "accelerometer x", "accelerometer y", "accelerometer z")
@@ -28,9 +29,11 @@ def content(z: Measurement, other: bytes) -> bytes:
             return other
 
 
-def spares_ns(z: Measurement) -> int:
+def spares_ns(z: Measurement, kind: str) -> int:
     """For how long a sensor may read the same."""
-    return 0 if isinstance(z, Pose | Position | Velocity) else OTHERS_NS
+    if kind in _STEADY:
+        return 2**62
+    return 0 if isinstance(z, Pose | Position | Velocity) else _OTHERS_NS
 
 
 class HeldImu:
@@ -66,7 +69,7 @@ class HeldImu:
     def _judge(self, sample: ImuSample) -> str:
         """What is held, where an axis reads as before."""
         for_ns = [sample.t_ns - since_ns for since_ns in self._since_ns]
-        if min(self._count) >= _FEWEST and min(for_ns) > _ALL_NS:
+        if any(self._alive) and min(self._count) >= _FEWEST and min(for_ns) > _ALL_NS:
             return "" if _rests(sample) else SAYS
         axes = [k for k, n in enumerate(self._count) if n >= _FEWEST and self._alive[k] and for_ns[k] > _AXIS_NS]
         if not axes or _rests(sample):

@@ -57,11 +57,6 @@ class SourceRules(GateRules, frozen=True, forbid_unknown_fields=True):
     spacing_s: Annotated[
         float, Meta(ge=0, le=3600, description="s: errors of readings closer than this are the same; only one of them is fused")
     ] = 0.0
-    fault_s: Annotated[float, Meta(ge=1e-3, le=1e6, description="s: expected duration of a fault that repeats itself")] = 1.5
-    reset_after_s: Annotated[
-        float,
-        Meta(ge=1e-3, le=1e6, description="s: duration of consistent rejection after which the filter is reset to the source"),
-    ] = 20.0
 
 
 class Aid(msgspec.Struct, frozen=True, eq=False):
@@ -122,10 +117,6 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
 
 class SensorRules(SourceRules, frozen=True, forbid_unknown_fields=True):
     """The section of an optional sensor: it is off until its key in [inputs] names a topic."""
-
-    stuck_s: Annotated[
-        float, Meta(ge=0, le=3600, description="s: the same reading for so long, though the IMU is in motion, is stuck; 0: never")
-    ] = 5.0
 
     def aid(self, reading: Reading) -> "Aid | Refusal":
         """The reading, whose values are finite, as a measurement, or why it is none."""

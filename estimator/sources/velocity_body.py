@@ -55,18 +55,12 @@ class VelocityBodyConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
     """[velocity_body]: the sensor and its errors; it is used where [inputs] velocity_body names a topic."""
 
     false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of measurements expected to be false")] = 0.01
-    fault_s: Annotated[
-        float, Meta(ge=1e-3, le=1e6, description="s: expected duration of a fault that repeats itself (slip, fish, waves)")
-    ] = 10.0
     spacing_s: Annotated[
         float, Meta(ge=0, le=3600, description="s: errors of readings closer than this are the same; only one of them is fused")
     ] = 0.1
     hold_s: Annotated[
         float, Meta(ge=0, le=1e6, description="s: how long it is not used after a reading that failed its gate")
     ] = 5.0
-    stuck_s: Annotated[
-        float, Meta(ge=0, le=3600, description="s: the same reading for so long, though the IMU is in motion, is stuck; 0: never")
-    ] = 0.0
     delay_s: Annotated[float, Meta(ge=-1, le=5, description="s: stamps are later than validity by this much")] = 0.0
     lever_b_m: Annotated[tuple[_Lever, _Lever, _Lever], Meta(description="m: sensor from the IMU, forward right down")] = (
         0.0,

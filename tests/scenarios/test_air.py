@@ -146,7 +146,7 @@ def test_given_an_airspeed_that_goes_wrong_in_flight_then_it_is_not_overconfiden
 
 
 def _refused(run: Run) -> list[AidStatus]:
-    wrong = {Reason.GATED, Reason.STOPPED, Reason.IMPLAUSIBLE}
+    wrong = {Reason.GATED, Reason.STOPPED, Reason.HELD, Reason.IMPLAUSIBLE}
     return [s for s in run.statuses if s.topic == "/airspeed" and s.reason in wrong]
 
 

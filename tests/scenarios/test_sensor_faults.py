@@ -87,6 +87,6 @@ def test_given_a_sensor_that_goes_wrong_then_that_is_said_and_the_estimate_stays
             off = [error(e, journey.truth)[part] for e in estimates]
             nees = [o @ np.linalg.solve(e.covariance[part, part], o) / 3.0 for o, e in zip(off, estimates, strict=True)]
             assert np.mean(nees) < most
-    said = {Reason.GATED, Reason.STOPPED, Reason.IMPLAUSIBLE}
+    said = {Reason.GATED, Reason.STOPPED, Reason.HELD, Reason.IMPLAUSIBLE}
     refused = [s for s in run.statuses if s.topic == readings[0].topic and s.reason in said]
     assert len(refused) > 20 or (kind, fault) in NOT_SEEN

@@ -43,6 +43,7 @@ from estimator.filter.hypotheses.hypothesis import FORGET, Doubt, Hypothesis
 from estimator.filter.hypotheses.innovation import innovation
 from estimator.filter.hypotheses.left_out import LEFT_OUT_S
 from estimator.filter.hypotheses.mixture import covariance, ln_sum
+from estimator.sources.faults import lasts_s
 from estimator.sources.gating import gate
 from estimator.sources.source import Aid
 from models import imu
@@ -55,7 +56,8 @@ _MARGIN = 3.0  # ln: by which another must be better
 _LEAST_DOUBT = 1.0  # ln: a sceptic starts at least this far behind
 _TINY = 1e-9
 _UNSEEN_S, _FORGOTTEN_S = 0.5, 60.0  # a wrong IMU has been so for as long as since the last fix, but within these limits
-AGAIN_S = 0.2  # a fix that is refused again costs 1 / AGAIN_S a second, ln
+_CONFIRMED_S = 60.0  # a run that another source confirms wins against a shorter one, up to this length
+AGAIN_S = 0.4  # a fix that is refused again costs 1 / AGAIN_S a second, ln
 _SEEN = 3.0  # ln: so far behind the leading one a new follower counts in the covariance
 _NOISIER = 256.0  # times the variance that a source claims
 
@@ -266,9 +268,9 @@ class Hypotheses:
         doubts = [m.doubts.get(aid.topic) for m in self.members]
         if not any(doubts):  # most of the time
             return [None] * len(doubts)
-        rules = aid.hypothetical
+        again_s = lasts_s(aid.kind)
         fades = [
-            -(aid.t_ns - doubt.last_ns) * 1e-9 / (rules.fault_s if doubt.deliberate else AGAIN_S) if doubt else 0.0
+            -(aid.t_ns - doubt.last_ns) * 1e-9 / (AGAIN_S if aid.absolute and not doubt.deliberate else again_s) if doubt else 0.0
             for doubt in doubts
         ]
         believe = [j for j, doubt in enumerate(doubts) if passed[j] and doubt is None]
@@ -318,7 +320,7 @@ class Hypotheses:
             return False
         if doubt and agreement is not None and (doubt.deliberate or not passed or agreement > true + _MARGIN):
             member.weight += agreement if doubt.deliberate or not aid.absolute else max(agreement, _noisier(aid, seen))
-            member.benefit = max(member.benefit - (aid.t_ns - doubt.last_ns) * 1e-9 / aid.hypothetical.fault_s, 0.0)
+            member.benefit = max(member.benefit - (aid.t_ns - doubt.last_ns) * 1e-9 / lasts_s(aid.kind), 0.0)
             doubt.last_ns = aid.t_ns
             return False
         if passed:
@@ -344,7 +346,7 @@ class Hypotheses:
                 if lead_refuses and behind < FORGET and not self._is_decided(aid):
                     member.benefit = max(member.benefit, behind)  # until it is decided, the covariance covers both
             return True
-        member.weight += max(aid.log_false, _noisier(aid, seen))
+        member.weight += aid.log_false
         if k and member.doubts_imu and aid.absolute:  # its fixes do not agree among themselves
             member.weight -= (aid.t_ns - member.fused_ns) * 1e-9 / AGAIN_S
         member.doubts[aid.topic] = Doubt(aid.t_ns, deliberate=False)
@@ -375,8 +377,8 @@ class Hypotheses:
         follower.without, follower.doubts = "", {}
         follower.adopt(lead.filter.constants if lead.right is None else lead.right, doubts_imu=True)
         eskf = follower.filter
-        for block in list(eskf.clones):  # nobody knows whether a kept pose has jumped, too
-            eskf.forget(block)
+        for clone in list(eskf.clones):  # nobody knows whether a kept pose has jumped, too
+            eskf.forget(clone)
         since_s = min(max((aid.t_ns - lead.fused_ns) * 1e-9, _UNSEEN_S), _FORGOTTEN_S)
         eskf.cov[: E.SIZE, : E.SIZE] += imu.unknown_motion(eskf.constants, since_s)
         seen = innovation(eskf, aid, z, gyro_b)
@@ -389,7 +391,8 @@ class Hypotheses:
                 eskf.cov[block, block] += np.outer(off, off)
             seen = innovation(eskf, aid, z, gyro_b)
         follower.weight = self._behind(aid, vouched=vouched, by_imu=by_imu)  # the leading one
-        follower.benefit = max(-follower.weight - _SEEN, 0.0)
+        if aid.topic not in lead.doubts:  # the first one that is refused may be the true one
+            follower.benefit = max(-follower.weight - _SEEN, 0.0)
         follower.fused_ns = follower.run_ns = follower.parted_ns = aid.t_ns
         follower.run = 1
         eskf.update(seen)
@@ -404,10 +407,10 @@ class Hypotheses:
 
     def _behind(self, aid: Aid, *, vouched: bool, by_imu: bool) -> float:
         """ln, by how much what contradicts the leading hypothesis begins behind it: refused fixes make it up while they last."""
-        lead, rules = self.members[0], aid.hypothetical
+        lead = self.members[0]
         holds_s = lead.holds_s(aid.t_ns, imu_may_be_wrong=by_imu)
         if vouched and not lead.doubts.keys() - {aid.topic}:  # another source confirms it
-            holds_s = max(holds_s, min((lead.fused_ns - lead.run_ns) * 1e-9, rules.reset_after_s))
+            holds_s = max(holds_s, min((lead.fused_ns - lead.run_ns) * 1e-9, _CONFIRMED_S))
         return _MARGIN - holds_s / AGAIN_S
 
     def _trust_imu_again(self, t_ns: int) -> None:

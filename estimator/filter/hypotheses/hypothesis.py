@@ -34,8 +34,8 @@ class Hypothesis:
     it leaves out for good; least: ln, below which its weight does not fall, for that receiver may be misled at any time; decided:
     topics that it rejects since a conflict that it has won; receiver: the last one that it fused, and ln(1 - trust) of it;
     begun_at_fix: and nothing has confirmed it yet; refuted_ns: when one such was last refuted; agreed_ns: since when the
-    positions of the receiver that it leaves out pass its gate; right: the constants of an IMU that is right, where it takes it for
-    wrong.
+    positions of the receiver that it leaves out pass its gate; right: the constants of an IMU that is right, where
+    it takes the IMU for wrong.
     """
 
     filter: Eskf

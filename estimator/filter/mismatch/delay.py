@@ -5,10 +5,10 @@ A reading is valid tau before its stamp:  z = h(x(t - tau)) + v = h(x(t)) + J ta
     position  J = -(v + R_nb (w x l))        velocity  J = -(R_nb f + g)        attitude  J = -R_nb w
 
 The filter counts on tau = 0, and what it makes of earlier readings depends on tau, too. So tau is a considered error, of a sigma
-s0 that is too small to matter. Its covariance with the innovation shows how much that depends on it. The scores are summed, and
-forgotten, for clocks drift (Rao 1948; the bias filter of Friedland 1969):
+s0 that is too small to matter. Its covariance with the innovation shows how much that depends on it. The scores of a minute are
+summed (Rao 1948; the bias filter of Friedland 1969):
 
-    J' = E[nu tau] / s0^2,   A <- A e^(-dt/T) + J'^T S^-1 J',   b <- b e^(-dt/T) + J'^T S^-1 nu,   |b| / sqrt(A) < 6 where tau = 0
+    J' = E[nu tau] / s0^2,   A = sum J'^T S^-1 J',   b = sum J'^T S^-1 nu,   b / sqrt(A) ~ N(0, 1) where tau = 0
 
 Where that is beyond its limit, tau becomes a state with the estimate b / A, and the rest of the state follows from P.
 A filter that has been aligned with this source alone, or linearised anew, knows x(t - tau): E[dx tau] / s0^2 = dx / dt then.
@@ -34,7 +34,7 @@ from models.measurements import Measurement, PartialPose, Pose, Position, Veloci
 from models.messages import Array
 from models.state import E, X
 
-_FORGOTTEN_S = 20.0  # T
+_ANEW_S = 60.0  # the sums begin anew
 _SIGMAS = 6.0
 _FEWEST = 3  # readings
 _LONGEST_S = 0.5  # no longer delay is found
@@ -48,20 +48,25 @@ _XYZ = 3
 
 
 class Delay(NamedTuple):
-    """The sums of one source at t_ns, and how many readings they are of; is_state: whether its delay is estimated."""
+    """The sums of one source since since_ns, and how many readings they are of; is_state: whether its delay is estimated.
 
-    t_ns: int
+    before: information and score of the minute before.
+    """
+
+    since_ns: int
     information: float = 0.0
     score: float = 0.0
     readings: int = 0
     is_state: bool = False
+    before: tuple[float, float] = (0.0, 0.0)
 
     def covariance(self, sigma_s: float, v_n: Array) -> Array | None:
         """E[tau^2] v v^T of the position, (15, 15), tau of sigma_s before any reading; None: less than counts."""
         if self.is_state or not sigma_s:
             return None
-        information = self.information + sigma_s**-2
-        variance = 1.0 / information + (self.score / information) ** 2
+        information, score = max((self.information, self.score), self.before)
+        information += sigma_s**-2
+        variance = 1.0 / information + (score / information) ** 2
         if variance * math.hypot(*v_n.tolist()) ** 2 <= _COUNTS_M2:
             return None
         cov = np.zeros((E.SIZE, E.SIZE))
@@ -76,8 +81,8 @@ class Delay(NamedTuple):
         """
         if self.is_state:
             return self
-        kept = math.exp(-(t_ns - self.t_ns) * 1e-9 / _FORGOTTEN_S)
-        sums = Delay(t_ns, kept * self.information, kept * self.score, self.readings)
+        is_new = not 0.0 <= (t_ns - self.since_ns) * 1e-9 < _ANEW_S
+        sums = Delay(t_ns, before=(self.information, self.score)) if is_new else self
         j = seen.hp[:, column] / _PROBE_S**2
         low, weighed = seen.s.copy(), j.copy()
         if not cholesky.factor(low, low):
@@ -92,7 +97,7 @@ class Delay(NamedTuple):
                 return sums
         readings = sums.readings + 1
         shown = readings >= _FEWEST and total * _KNOWN_S**2 > 1.0 and scores**2 > _SIGMAS**2 * total
-        return Delay(t_ns, total, scores, readings, shown)
+        return Delay(sums.since_ns, total, scores, readings, shown, sums.before)
 
 
 Delays: TypeAlias = dict[str, Delay]  # by topic of the source, or of its receiver's positions

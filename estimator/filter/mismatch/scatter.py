@@ -1,11 +1,11 @@
 """A source that is noisier than it claims: its readings scatter about one another, whatever the estimate is.
 
     d_k = nu_k - 2 nu_{k-1} + nu_{k-2},   r_k = d_k^T (S_k + 4 S_{k-1} + S_{k-2})^-1 d_k
-    R <- s R,   s = max(2 r_(5) / m_50 where r_(3) > chi2_0.96, s exp(-dt / tau))
+    R <- s R,   s = max(r_(8) / m_50 where r_(3) > chi2_0.96, s exp(-dt / tau))
 
-r_(k): the k-th smallest of the last seven; m_50: the median of chi-square. Twice, for the noise may still grow. An offset, a
-drift, a pull or a filter that is wrong leave the second differences small; a jammed receiver makes all of them large; of outliers,
-not even three in ten make five of seven large.
+r_(k): the k-th smallest of the last twelve; m_50: the median of chi-square. An offset, a drift, a pull or a filter that is wrong
+leave the second differences small. A jammed receiver makes all of them large. An outlier makes three of them large, so three
+outliers in twelve readings do not count.
 """
 
 import math
@@ -16,8 +16,8 @@ from estimator.sources.gating import gate
 from models.measurements import mahalanobis
 from models.messages import Array
 
-_WINDOW, _RANK, _SIZE_RANK = 7, 3, 5
-_GROWS, _LARGEST, _GONE = 2.0, 1e6, 1.1
+_WINDOW, _RANK, _SIZE_RANK = 12, 3, 8
+_LARGEST, _GONE = 1e6, 1.1
 _USUAL = 0.96
 _APART_S = 1.1  # readings further apart are not compared
 _FADES_S = 5.0
@@ -44,5 +44,5 @@ class Scatter(NamedTuple):
             ratios = (*ratios[1 - _WINDOW :], mahalanobis(seen.nu - 2.0 * nu_1 + nu_2, s + 4.0 * s_1 + s_2)[0])
             dof = len(seen.nu)
             if len(ratios) == _WINDOW and (ordered := sorted(ratios))[_RANK - 1] > gate(_USUAL, dof):
-                factor = max(factor, min(_GROWS * ordered[_SIZE_RANK - 1] / gate(0.5, dof), _LARGEST))
+                factor = max(factor, min(ordered[_SIZE_RANK - 1] / gate(0.5, dof), _LARGEST))
         return Scatter(t_ns, last, ratios, factor)

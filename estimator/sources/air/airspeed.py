@@ -27,9 +27,6 @@ class AirspeedConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
     """[airspeed]: the pitot tube and its errors; it is used where [inputs] airspeed names a topic."""
 
     false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of measurements expected to be false")] = 0.01
-    fault_s: Annotated[
-        float, Meta(ge=1e-3, le=1e6, description="s: expected duration of a fault that repeats itself (water or ice in the tube)")
-    ] = 30.0
     spacing_s: Annotated[
         float, Meta(ge=0, le=3600, description="s: errors of readings closer than this are the same; only one of them is fused")
     ] = 0.2

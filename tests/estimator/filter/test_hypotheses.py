@@ -11,9 +11,10 @@ import pytest
 
 from estimator.filter.eskf import Eskf
 from estimator.filter.hypotheses import Doubt, Hypotheses, Hypothesis
+from estimator.filter.hypotheses.hypotheses import AGAIN_S
 from estimator.fusion import Fusion, FusionConfig
+from estimator.sources.faults import lasts_s
 from estimator.sources.gnss import GnssConfig, velocity_aid
-from estimator.sources.pose import PoseConfig
 from estimator.sources.source import Aid
 from models.imu import Coast, ImuNoise, constants
 from models.messages import Array, Estimate, GnssVelocity, ImuSample, Input, Reason, Vec3, vec3
@@ -93,12 +94,11 @@ def test_eight_lies_that_agree_are_never_followed_by_a_settled_filter(seed: int)
     assert all(np.linalg.norm(reset.delta_p_n) < 1.0 for reset in run.resets)
 
 
-@pytest.mark.parametrize("reset_after_s", [8.0, 20.0])
-def test_a_filter_that_is_wrong_follows_the_fixes_after_reset_after_s_and_not_much_before(reset_after_s: float) -> None:
-    config = FusionConfig(imu=NOISE, pose_fix=PoseConfig(reset_after_s=reset_after_s))
-    run = _fly(70.0, lambda t: LIE if t < 40.0 else NOWHERE, config=config)
+def test_a_filter_that_is_wrong_follows_fixes_that_are_more_than_enough() -> None:
+    """False for 30 s, then true: eleven fixes in a row win against any run."""
+    run = _fly(70.0, lambda t: LIE if t < 40.0 else NOWHERE)
     moved_s = next((e.t_ns - EPOCH_NS) * 1e-9 for e in run.estimates if e.t_ns > EPOCH_NS + 40 * SECOND and _near_truth(e.nav))
-    assert 0.4 * reset_after_s < moved_s - 40.0 <= reset_after_s + 3.0
+    assert 4.0 < moved_s - 40.0 <= 5.6
     assert _distance(run, moved_s + 1.0, 70.0).max() < 0.6
     assert [r.counter for r in run.resets] == list(range(1, len(run.resets) + 1))
     assert len(run.resets) >= 1
@@ -192,7 +192,7 @@ def _state(*p: float) -> Array:
 
 def _member(x: Array, sigma: float = 0.1, weight: float = 0.0) -> Hypothesis:
     filt = Eskf(EPOCH_NS, x, np.eye(E.SIZE) * sigma**2, constants(NOISE, Coast(), None))
-    return Hypothesis(filt, weight, EPOCH_NS, EPOCH_NS - 60 * SECOND, EPOCH_NS)
+    return Hypothesis(filt, weight, EPOCH_NS, run=120, run_ns=EPOCH_NS - 60 * SECOND, parted_ns=EPOCH_NS)
 
 
 def test_covariance_is_that_of_the_mixture_about_the_leading_state() -> None:
@@ -301,7 +301,7 @@ def test_a_velocity_accepted_again_is_no_news_that_its_doubter_alone_pays_for() 
     assert z is not None
     bank.judge(aid, z, np.zeros(3), trusted=True)
     assert bank.members[0] is honest
-    assert bank.members[1].weight == pytest.approx(-6.0 + 0.2 / GnssConfig().fault_s)
+    assert bank.members[1].weight == pytest.approx(-6.0 + 0.2 / lasts_s("gnss_velocity"))
     assert "/gnss/velocity" not in follower.doubts
 
 
@@ -333,7 +333,7 @@ def test_a_hypothesis_without_the_fix_does_not_gain_by_what_a_hopeless_one_predi
     assert z is not None
     assert bank.judge(aid, z, np.zeros(3), trusted=True).fused
     assert bank.members[0] is lead
-    assert doubter.weight == pytest.approx(-2.0 - 0.2 / GnssConfig().fault_s, abs=1e-3)
+    assert doubter.weight == pytest.approx(-2.0 - 0.2 / lasts_s("gnss_velocity"), abs=1e-3)
     assert hopeless.weight > -16.0
 
 
@@ -364,21 +364,7 @@ def _rejecting(*p: float, weight: float = 0.0) -> Hypothesis:
     return member
 
 
-_ANEW = 3.0 - 20.0 / 1.5
-
-
-@pytest.mark.parametrize(("earlier", "off_m", "expected"), [(-1.2, 1.2, -1.2), (-15.0, 1.2, _ANEW), (-1.2, 8.0, _ANEW)])
-def test_a_believer_goes_on_for_one_that_fused_the_last_fix_and_just_rejects_this_one(
-    earlier: float, off_m: float, expected: float
-) -> None:
-    """Fixes that drift are the same evidence: before, each believer began anew, and the leading one stayed for half a minute."""
-    bank = Hypotheses([_rejecting(0.0, 0.0, 0.0), _member(_state(40.0, 0.0, 0.0), weight=earlier)])
-    _judge(bank, (40.0 + off_m, 0.0, 0.0))
-    newest = [m for m in bank.members if "/pose_fix" not in m.doubts]
-    assert [m.weight for m in newest] == [pytest.approx(expected, abs=1e-6)]
-
-
-def test_a_believer_takes_the_place_of_the_last_of_too_many_that_reject_the_fix() -> None:
+def test_a_follower_takes_the_place_of_the_last_of_too_many_that_reject_the_fix() -> None:
     """Before, four that had all gone wrong left no place for one that is right."""
     bank = Hypotheses([_rejecting(0.0, 0.0, 0.0), *(_rejecting(20.0 * k, 0.0, 0.0, weight=2.5 - 0.1 * k) for k in (1, 2, 3))])
     _judge(bank, (0.0, 90.0, 0.0))
@@ -386,22 +372,52 @@ def test_a_believer_takes_the_place_of_the_last_of_too_many_that_reject_the_fix(
     assert bank.members[-1].filter.x[X.P][1] > 80.0
 
 
-@pytest.mark.parametrize(("unaided_s", "patience_s"), [(0.0, 20.0), (30.0, 5.0)])
-def test_an_unlikely_hypothesis_that_fuses_what_the_leading_one_rejects_stands_for_the_believer(
-    unaided_s: float, patience_s: float
+@pytest.mark.parametrize(("run", "run_s", "period_s", "by_imu", "expected_s"), [
+    (1, 0.0, 0.5, False, 2.95),  # one false fix: three seconds
+    (3, 1.0, 0.5, False, 2.95),
+    (8, 3.5, 0.5, False, 4.95),  # eight, and three more
+    (100, 60.0, 0.5, False, 4.95),  # ten more: enough against any run
+    (100, 60.0, 0.5, True, 2.95),
+    (3, 4.0, 2.0, False, 9.8),  # rare fixes: three, and three more
+    (100, 60.0, 2.0, True, 2.94),
+    (100, 60.0, 0.05, False, 4.995),
+])  # fmt: skip
+def test_a_run_of_fixes_is_decided_by_a_longer_one(
+    run: int, run_s: float, period_s: float, by_imu: bool, expected_s: float
 ) -> None:
-    """Before, it kept its weight, and true fixes were rejected for the rest of a minute. The second fix in a row is no news."""
-    lead, unlikely = _member(_state(0.0, 0.0, 0.0)), _member(_state(25.0, 0.0, 0.0), sigma=30.0, weight=-18.0)
-    lead.fused_ns -= round(unaided_s * SECOND)
-    lead.established_ns = lead.fused_ns - 60 * SECOND
+    lead = _member(_state(0.0, 0.0, 0.0))
+    lead.run, lead.run_ns, lead.fused_ns = run, EPOCH_NS - round(run_s * 1e9), EPOCH_NS
+    holds_s = lead.holds_s(EPOCH_NS + round(period_s * 1e9), imu_may_be_wrong=by_imu)
+    assert holds_s == pytest.approx(expected_s, abs=0.1)
+
+
+def test_an_unlikely_hypothesis_that_fuses_what_the_leading_one_rejects_stands_for_the_follower() -> None:
+    lead, unlikely = _member(_state(0.0, 0.0, 0.0)), _member(_state(25.0, 0.0, 0.0), sigma=30.0, weight=-60.0)
+    lead.run, lead.run_ns, lead.fused_ns = 100, EPOCH_NS - 60 * SECOND, EPOCH_NS - SECOND // 2
     bank = Hypotheses([lead, unlikely])
-    for k, patience_left_s in ((0, patience_s), (1, patience_s - 0.5)):
+    for k in range(2):
         aid = aid_of(pose_fix(EPOCH_NS + k * SECOND // 2, (20.0, 0.0, 0.0)))
         z = aid.measurement(None)
         assert z is not None
         assert not bank.judge(aid, z, np.zeros(3), trusted=True).fused
-        assert bank.members[1].weight - lead.weight == pytest.approx(3.0 - patience_left_s / 1.5, abs=1e-6)
+        assert bank.members[1].weight - lead.weight == pytest.approx(3.0 - (4.95 - 0.5 * k) / AGAIN_S, abs=0.3)
     np.testing.assert_allclose(unlikely.filter.x[X.P], (20.0, 0.0, 0.0), atol=0.5)
+
+
+def test_once_a_follower_leads_the_imu_is_trusted_again_by_a_branch_that_the_next_fixes_confirm() -> None:
+    bank = Hypotheses([_member(_state(0.0, 0.0, 0.0))])
+    bank.members[0].fused_ns = EPOCH_NS - SECOND // 2
+    constants = bank.lead.constants
+    for k in range(14):
+        aid = aid_of(pose_fix(EPOCH_NS + k * SECOND // 2, (20.0, 0.0, 0.0)))
+        z = aid.measurement(None)
+        assert z is not None
+        bank.judge(aid, z, np.zeros(3), trusted=True)
+        for member in bank.members:
+            member.filter.cov[: E.SIZE, : E.SIZE] += 0.01 * np.eye(E.SIZE) * (1.0 + 100.0 * member.doubts_imu)
+    assert abs(bank.lead.x[X.P][0] - 20.0) < 0.1
+    assert not bank.members[0].doubts_imu
+    assert bank.lead.constants is constants
 
 
 def test_a_hypothesis_that_rejects_a_reading_it_predicts_does_not_predict_the_next_one() -> None:
