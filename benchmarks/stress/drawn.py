@@ -92,15 +92,15 @@ def run(job: tuple[int]) -> Drawn:
     bound_s = max(_LEAST_S, (true_ns[after - 1] - last_ns) * 1e-9) if len(true_ns) >= after else _END_S
     limit_m = max(LEAST_M, TWICE * _usual_m(*key))
     t_s, off, radius = errors(_estimates(messages, flight), flight, SETTLED_S)
-    locked_s = _locked_s(t_s, off, limit_m, (last_ns - begin_ns) * 1e-9)
+    locked = locked_s(t_s, off, limit_m, (last_ns - begin_ns) * 1e-9)
     since = t_s > onset_s - 1.0
     over = float(np.mean(off[since] > OVERCONFIDENT * radius[since])) if since.any() else 0.0
     plain_s = None
-    if locked_s is None or locked_s > bound_s:
+    if locked is None or locked > bound_s:
         plain_t, plain, _ = errors(naive(messages, flight), flight, SETTLED_S)
-        plain_s = _locked_s(plain_t, plain, limit_m, (last_ns - begin_ns) * 1e-9)
+        plain_s = locked_s(plain_t, plain, limit_m, (last_ns - begin_ns) * 1e-9)
     what = f"{name} {'GNSS ' if with_gnss else ''}{period_s:g} s"
-    return Drawn(what, "; ".join(said), false, bound_s, locked_s, plain_s, over)
+    return Drawn(what, "; ".join(said), false, bound_s, locked, plain_s, over)
 
 
 def _estimates(messages: list[Input], flight: Flight) -> list[Estimate]:
@@ -108,7 +108,7 @@ def _estimates(messages: list[Input], flight: Flight) -> list[Estimate]:
     return [o for m in messages for o in fusion.handle(m) if isinstance(o, Estimate)]
 
 
-def _locked_s(t_s: Array, off: Array, limit_m: float, last_s: float) -> float | None:
+def locked_s(t_s: Array, off: Array, limit_m: float, last_s: float) -> float | None:
     """From last_s on, until the error is within the limit and stays there."""
     after = t_s >= last_s
     t, wrong = t_s[after], off[after] > limit_m

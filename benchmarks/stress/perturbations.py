@@ -207,8 +207,12 @@ def imu_held(flight: Flight, size: float, rng: Rng) -> list[Input]:
 
 
 def gyro_axis_dead(flight: Flight, size: float, rng: Rng) -> list[Input]:
-    """From ONSET_S on the yaw gyroscope reads size, to the bit."""
-    return _imu(flight, lambda m: m if _seconds(flight, m) < ONSET_S else _replace(m, gyro_b=(*m.gyro_b[:2], size)))
+    """From ONSET_S on the yaw gyroscope reads 0 to the bit, for size seconds."""
+
+    def dead(m: ImuSample) -> ImuSample:
+        return _replace(m, gyro_b=(*m.gyro_b[:2], 0.0)) if ONSET_S <= _seconds(flight, m) < ONSET_S + size else m
+
+    return _imu(flight, dead)
 
 
 def imu_biased(flight: Flight, size: float, rng: Rng) -> list[Input]:
@@ -357,9 +361,9 @@ KINDS = {
         Kind(name="vibration", perturb=vibration, unit="m/s^2", sizes=(2.0, 5.0, 15.0)),
         Kind(name="accelerometer clips", perturb=clipping, unit="s", sizes=(0.1, 0.3, 1.0)),
         Kind(name="IMU held", perturb=imu_held, unit="s", sizes=(0.3, 1.0)),
-        Kind(name="IMU biased", perturb=imu_biased, unit="x", sizes=(1.0, 3.0)),
-        Kind(name="yaw gyro dead", perturb=gyro_axis_dead, unit="rad/s", sizes=(0.0,)),
-        Kind(name="yaw gyro dead, with GNSS", perturb=gyro_axis_dead, unit="rad/s", sizes=(0.0,), aids="both"),
+        Kind(name="IMU biased", perturb=imu_biased, unit="times", sizes=(1.0, 3.0)),
+        Kind(name="yaw gyro dead", perturb=gyro_axis_dead, unit="s", sizes=(100.0,)),
+        Kind(name="yaw gyro dead, with GNSS", perturb=gyro_axis_dead, unit="s", sizes=(100.0,), aids="both"),
         Kind(name="IMU samples lost", perturb=imu_drop, unit="%", sizes=(2.0, 5.0, 20.0)),
         Kind(name="time jitter", perturb=time_jitter, unit="ms", sizes=(2.0, 5.0, 15.0)),
         Kind(name="fix delay", perturb=fix_delay, unit="ms", sizes=(40.0, 80.0, 150.0)),
@@ -367,7 +371,7 @@ KINDS = {
         Kind(name="fix clock steps", perturb=fix_clock_steps, unit="ms", sizes=(100.0, 300.0)),
         Kind(name="fix repeats", perturb=fix_repeats, unit="s", sizes=(3.0, 8.0)),
         Kind(name="look-alikes", perturb=look_alikes, unit="fixes", sizes=(1.0, 3.0, 8.0)),
-        Kind(name="fixes 20 Hz correlated", perturb=fixes_correlated, unit="x", sizes=(1.0, 2.0)),
+        Kind(name="fixes 20 Hz correlated", perturb=fixes_correlated, unit="times", sizes=(1.0, 2.0)),
         Kind(name="fix covariance too small", perturb=fix_covariance, unit="x", sizes=(2.0, 4.0, 16.0, 100.0)),
         Kind(name="fix frame drifts", perturb=fix_drift, unit="x", sizes=(0.5, 1.0, 2.0)),
         Kind(name="fix scale", perturb=fix_scale, unit="%", sizes=(1.0, 2.0, 5.0)),

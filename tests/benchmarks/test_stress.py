@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.stress import conflicts
+from benchmarks.stress import conflicts, drawn
 from benchmarks.stress import perturbations as perturb
 from benchmarks.stress.__main__ import jobs
 from benchmarks.stress.cell import Row, Score, landfix, naive, score
@@ -44,7 +44,10 @@ def gnss_v(messages: list[Input]) -> np.ndarray:
     return np.array([m.v_n for m in messages if isinstance(m, GnssVelocity)])
 
 
-@pytest.mark.parametrize("kind", KINDS.values(), ids=lambda k: k.name)
+OTHER_FIXES = "fixes 20 Hz correlated"  # at any size
+
+
+@pytest.mark.parametrize("kind", [k for k in KINDS.values() if k.name != OTHER_FIXES], ids=lambda k: k.name)
 def test_size_nothing_changes_no_value(flight: Flight, kind: perturb.Kind) -> None:
     size = 1.0 if kind.unit == "x" and kind.perturb is not perturb.fix_drift else 0.0
     for before, after in zip(flight.messages, kind.perturb(flight, size, rng()), strict=True):
@@ -173,3 +176,19 @@ def test_a_conflict_is_named_and_timed_from_its_onset(tmp_path: Path) -> None:
     (line,) = conflicts.table([row]).rows
     assert line[:2] == ("GNSS off from boot, fixes 0.5 Hz", "200 m")
     assert "1 of 1" in line
+
+
+@pytest.mark.parametrize("number", [2, 5, 11, 17])
+def test_drawn_faults_do_not_lock_true_fixes_out(number: int) -> None:
+    row = drawn.run((number,))
+    assert not row.missed, row
+    assert row.overconfident < 0.05
+
+
+def test_a_lock_out_is_from_the_last_faulty_reading_until_the_error_stays_small() -> None:
+    t_s, off = np.arange(0.0, 20.0, 0.1), np.zeros(200)
+    off[50:80] = 5.0  # 5 s to 8 s
+    off[90:91] = 5.0
+    assert drawn.locked_s(t_s, off, 1.0, 6.0) == pytest.approx(3.1)
+    off[100:] = 5.0
+    assert drawn.locked_s(t_s, off, 1.0, 12.0) is None

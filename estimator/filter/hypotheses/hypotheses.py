@@ -386,9 +386,9 @@ class Hypotheses:
             return None
         by_imu = seen.distance2 <= limit
         if not by_imu:
-            for block in (E.P, E.THETA):
-                off = seen.h[:, block].T @ seen.nu
-                eskf.cov[block, block] += np.outer(off, off)
+            for part in (E.P, E.THETA):
+                off = seen.h[:, part].T @ seen.nu
+                eskf.cov[part, part] += np.outer(off, off)
             seen = innovation(eskf, aid, z, gyro_b)
         follower.weight = self._behind(aid, vouched=vouched, by_imu=by_imu)  # the leading one
         if aid.topic not in lead.doubts:  # the first one that is refused may be the true one

@@ -1,0 +1,58 @@
+"""Cut flights whose faults locked true fixes out: each with the error that it may cost, beside the data folder of the flights."""
+
+import os
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from benchmarks.flights.tasks import INSIDE95, read_odometry
+from estimator.config import load
+from estimator.fusion import Fusion
+from logs.store.reader import LogReader
+from logs.wire.codec import Decoder, Topics
+from models.frames import ENU_FROM_NED
+from models.messages import Estimate, Reset
+from models.state import E, X
+
+ROOT = Path(__file__).parents[2]
+CASES = Path(os.environ.get("LANDFIX_DATA", ROOT.parent / "shared" / "data")).parent / "cases"
+
+
+@pytest.mark.parametrize(
+    ("case", "rmse_m", "covered"),
+    [
+        ("decisions/stk_imu_holds_1s", 0.5, 0.9),
+        ("decisions/la3_three_lookalikes", 4.5, 0.9),  # three seconds of 13 m
+        ("decisions/frz_pose_repeats_indoor", 0.6, 0.9),
+        ("decisions/frz_pose_repeats_outdoor", 0.7, 0.9),
+        ("decisions/gf0_gnss_freezes_20s", 7.0, 0.9),
+        ("decisions/clk_fix_clock_gains_2ms_s", 2.0, 0.4),  # no worse than the plain filter; the delay is not covered
+    ],
+)
+def test_true_fixes_lead_again(case: str, rmse_m: float, covered: float) -> None:
+    path = CASES / f"{case}.mcap"
+    if not path.is_file():
+        pytest.skip(f"{path.name} not found: set LANDFIX_DATA to the folder of recorded flights")
+    config = load(path.with_suffix(".toml"))
+    decoder = Decoder(Topics.of(msgspec.to_builtins(config.inputs)), config.mounting())
+    fusion, estimates, resets = Fusion(config.fusion()), dict[int, Estimate](), 0
+    with LogReader(path) as reader:
+        for record in reader:
+            message = decoder.decode(record.topic, record.schema, record.data, record.log_time_ns)
+            for out in fusion.handle(message) if message is not None else ():
+                if isinstance(out, Estimate):
+                    estimates.setdefault(out.t_ns, out)
+                resets += isinstance(out, Reset)
+    truth = read_odometry(path, "/truth")
+    stamps = np.array(sorted(estimates))
+    nearest = stamps[np.clip(np.searchsorted(stamps, truth.t_ns), 0, len(stamps) - 1)]
+    known = np.abs(nearest - truth.t_ns) < 20_000_000
+    found = [estimates[t] for t in nearest[known].tolist()]
+    off = np.array([e.nav[X.P] for e in found]) - (truth.p @ ENU_FROM_NED.T)[known]
+    reach = np.sqrt(INSIDE95 * np.linalg.eigvalsh([e.covariance[E.P, E.P] for e in found])[:, -1])
+    size = np.linalg.norm(off, axis=1)
+    assert known.mean() > 0.95  # but for the alignment there is always an estimate
+    assert np.sqrt(np.mean(size**2)) < rmse_m
+    assert np.mean(size < reach) > covered
