@@ -409,7 +409,7 @@ class Fusion:
     def _say(self, tracker: Tracker) -> str:
         """What went wrong, else what keeps it from an estimate; what makes that less certain, and what had to be assumed."""
         said = self._detail or (tracker.detail if not tracker.is_aligned else "")
-        said = "; ".join(filter(None, (said, self._imus.remark(self._history.samples.newest_ns))))
+        said = "; ".join(filter(None, (said, self._imus.remark(self._history.samples.newest_ns), self._held.says)))
         return "; ".join(
             filter(None, (said, *tracker.remarks, *(f"{topic}: {text}" for topic, text in sorted(self._assumed.items()))))
         )
@@ -440,6 +440,7 @@ class Fusion:
             self._say(tracker),
             biases,
             self._integrity.summary,
+            hypotheses.weights if hypotheses is not None and tracker.is_aligned else {},
         )
 
 

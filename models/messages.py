@@ -390,7 +390,8 @@ class Health(msgspec.Struct, frozen=True, eq=False):
     """The estimator about itself, 1-10 Hz.
 
     biases: of the IMU in body axes (FRD), gyro_x ... accel_z in rad/s and m/s^2, each with its standard deviation (gyro_x_sigma);
-    where wind is estimated also its wind_north and wind_east, m/s, whereto it blows.
+    where wind is estimated also its wind_north and wind_east, m/s, whereto it blows. weights: ln, of the hypotheses beside the
+    leading one, by what they assume.
     """
 
     t_ns: int
@@ -407,6 +408,7 @@ class Health(msgspec.Struct, frozen=True, eq=False):
     detail: str = ""
     biases: dict[str, float] = {}
     integrity: str = ""  # of the last Integrity: state, and the reason for it
+    weights: dict[str, float] = {}
 
 
 class Alert(StrEnum):

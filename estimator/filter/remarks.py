@@ -7,10 +7,12 @@ import numpy as np
 
 from estimator.filter.conflict import Apart
 from estimator.filter.hypotheses import Hypotheses
-from estimator.filter.mismatch import Delays, PathScale, delay
+from estimator.filter.mismatch import Delays, PathScale, Scatter, delay
 from estimator.sources.source import SourceState
 
 VOUCHED_NS = 60_000_000_000  # a source that was fused since then is one to compare another with
+_NEW_NS = 1_000_000_000
+_NOISY = 9.0  # times the variance
 _WORTH_SAYING = 2.0  # of the variance of unit weight
 
 
@@ -56,6 +58,30 @@ def drifts(sources: Mapping[str, SourceState]) -> list[str]:
 def delays(found: Delays, hypotheses: Hypotheses | None) -> list[str]:
     """Which sources are later than configured."""
     return delay.remarks(found, hypotheses.lead) if hypotheses is not None else []
+
+
+def held(found: Mapping[str, int], t_ns: int) -> list[str]:
+    """Which sources repeat a reading."""
+    return [
+        f"{topic} repeats the same reading to the bit: not used"
+        for topic, at_ns in sorted(found.items())
+        if t_ns - at_ns < _NEW_NS
+    ]
+
+
+def imu(hypotheses: Hypotheses | None) -> list[str]:
+    """Whether fixes have shown that the IMU is wrong."""
+    doubts = hypotheses is not None and hypotheses.members[0].doubts_imu
+    return ["the IMU contradicts the fixes: unknown motion is assumed between them"] if doubts else []
+
+
+def scatter(found: Mapping[str, Scatter], t_ns: int) -> list[str]:
+    """Which sources are noisier than they claim."""
+    return [
+        f"{topic} scatters {math.sqrt(s.factor):.0f} times as far as it claims: jammed?"
+        for topic, s in sorted(found.items())
+        if s.factor > _NOISY and t_ns - s.t_ns < _NEW_NS
+    ]
 
 
 def variance(factor: float) -> list[str]:

@@ -68,6 +68,7 @@ class Tracker(Alignment):
         self.rest_refuted = 0  # how often positions have shown that it moves, since the IMU showed motion
         self.sources: dict[str, SourceState] = {}
         self.same: dict[str, tuple[bytes, int]] = {}  # what a sensor reads, and since when, by topic
+        self.held_ns: dict[str, int] = {}  # when a source last repeated a reading; never changed in place
         self.last_odometry_ns = NEVER
         self.kept: dict[str, Kept] = {}  # poses that the filters keep, by topic of odometry
         self.anchor: GnssAnchor | None = None
@@ -161,6 +162,9 @@ class Tracker(Alignment):
             *remarks.drifts(self.sources),
             *remarks.delays(self.delays, self.hypotheses),
             *remarks.variance(self.variance_factor.lasting),
+            *remarks.held(self.held_ns, self.t_ns),
+            *remarks.scatter(self.scatter, self.t_ns),
+            *remarks.imu(self.hypotheses if self.is_aligned else None),
         ]
 
     def _conflict(self) -> str:
@@ -218,6 +222,12 @@ class Tracker(Alignment):
             return Decision(Reason.IMPLAUSIBLE, detail=why)
         if aid.alignment_only:
             return self._take_prior(aid, z)
+        if aid.kind not in _FELT and self._is_held(aid, z, samples):
+            if not aid.weighs:
+                self.sources[aid.topic] = self.sources.get(aid.topic, _UNKNOWN).held(aid.rules, aid.t_ns)
+            self._forget_estimated(aid, z)
+            self.held_ns = {**self.held_ns, aid.topic: aid.t_ns}
+            return Decision(Reason.HELD, detail=held.SAYS)
         self.path_scale = self.path_scale.also(aid, z)
         if why := self.path_scale.objection(aid.topic):
             if self.sources.get(aid.topic, _UNKNOWN).fused_ns > NEVER and self.path_scale.last is not None:
@@ -231,10 +241,6 @@ class Tracker(Alignment):
         elif not aid.weighs and not self.is_aligned:
             return Decision(Reason.ALIGNING, detail=_NOT_YET)
         state = self.sources.get(aid.topic, _UNKNOWN)
-        if aid.kind not in _FELT and self._is_held(aid, z, samples):
-            self.sources[aid.topic] = state.held(aid.rules, aid.t_ns) if not aid.weighs else state
-            self._forget_estimated(aid, z)
-            return Decision(Reason.HELD, detail=held.SAYS)
         if aid.t_ns - state.last_ns < aid.hypothetical.spacing_s * 1e9:
             return Decision(Reason.THINNED)
         alone = self._alone(aid)
@@ -400,7 +406,10 @@ class Tracker(Alignment):
         if aid.t_ns - since_ns < held.spares_ns(z, aid.kind):
             return False
         second = self._stretch(samples)
-        return second is not None and not rest.is_quiet(second, _ON_THE_GROUND)
+        if second is None:
+            return False
+        bank = self.hypotheses if self.is_aligned else None
+        return not rest.is_quiet(second, _ON_THE_GROUND) or (bank is not None and held.moves(bank.lead.x, bank.lead.cov))
 
     def _forget_estimated(self, aid: Aid, z: Measurement) -> None:
         """Wind or sensor have changed: what is estimated of them is unknown again, while positions show the motion."""

@@ -4,15 +4,19 @@ Drivers repeat their last value when a sensor stalls, bridges copy a slow topic 
 failed reads the same for ever. Noise makes two readings of a sensor that works differ.
 """
 
+import math
+
 import numpy as np
 
 from models.frames import GRAVITY
 from models.measurements import Measurement, Pose, Position, Velocity
-from models.messages import ImuSample
+from models.messages import Array, ImuSample
+from models.state import E, X
 
 SAYS = "the same reading to the bit, though the vehicle moves"
 _OTHERS_NS = 1_000_000_000  # of sensors that read in coarse steps
 _STEADY = frozenset({"velocity_body"})  # a wheel or a log reads the same while the speed is steady
+_SIGMAS, _SLOW_M_S = 3.0, 0.5
 _ALL_NS, _AXIS_NS, _FEWEST = 100_000_000, 500_000_000, 5  # of the IMU, and samples in a row
 _RESTS_RAD_S, _RESTS_M_S2 = 0.05, 0.5
 _NAMES = ("gyroscope x", "gyroscope y", "gyroscope z", "accelerometer x", "accelerometer y", "accelerometer z")
@@ -36,12 +40,19 @@ def spares_ns(z: Measurement, kind: str) -> int:
     return 0 if isinstance(z, Pose | Position | Velocity) else _OTHERS_NS
 
 
+def moves(x: Array, cov: Array) -> bool:
+    """Whether the vehicle is known to move, though the IMU is quiet: |v| > 3 sigma."""
+    speed = math.hypot(*x[X.V].tolist())
+    return speed > max(_SLOW_M_S, _SIGMAS * math.sqrt(sum(cov.diagonal()[E.V].tolist())))
+
+
 class HeldImu:
     """Which values of an IMU are held: all six for 0.1 s, or one axis for 0.5 s that has read otherwise before."""
 
-    __slots__ = ("_alive", "_count", "_last", "_newest_ns", "_since_ns")
+    __slots__ = ("_alive", "_count", "_last", "_newest_ns", "_since_ns", "says")
 
     def __init__(self) -> None:
+        self.says = ""  # of the newest sample
         self._last: tuple[float, ...] = ()
         self._since_ns, self._count = [0] * len(_NAMES), [0] * len(_NAMES)
         self._alive = [False] * len(_NAMES)
@@ -64,7 +75,8 @@ class HeldImu:
             else:
                 self._since_ns[axis], self._count[axis], self._alive[axis] = sample.t_ns, 0, True
         self._last = u
-        return self._judge(sample) if held else ""
+        self.says = self._judge(sample) if held else ""
+        return self.says
 
     def _judge(self, sample: ImuSample) -> str:
         """What is held, where an axis reads as before."""

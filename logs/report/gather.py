@@ -24,6 +24,7 @@ from models.radius import horizontal_radius
 HEALTH_TOPIC, DAEMON_TOPIC = "/landfix/health", "/landfix/daemon"
 FIX_TOPIC, VISION_TOPIC = "/landfix/fix", "/landfix/vision"
 BIASES: Final = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")
+WEIGHTS: Final = ("IMU wrong", "receiver wrong", "fix false", "position wrong")
 NUMBERS: Final = (
     "absolute_age_s",
     "radius95_m",
@@ -31,6 +32,7 @@ NUMBERS: Final = (
     "hypotheses",
     *BIASES,
     *(f"{name}_sigma" for name in BIASES),
+    *WEIGHTS,
 )
 SIGMAS_95: Final = 1.959964  # of one axis
 
@@ -192,7 +194,8 @@ class Gathered:
                 self.counts[name] = int(value)
         if self.numbers is None:
             self.numbers = Buckets(len(NUMBERS), t_ns)
-        known = [float(values.get(name, values.get(f"biases {name}", "nan"))) for name in NUMBERS]
+        sections = ("", "biases ", "weights ")
+        known = [float(next((values[s + name] for s in sections if s + name in values), "nan")) for name in NUMBERS]
         self.numbers.add(np.array([t_ns]), np.array([known]))
 
     def _daemon(self, record: Record) -> None:

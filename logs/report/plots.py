@@ -12,7 +12,7 @@ from logs.evaluation.collected import Collected
 from logs.evaluation.evaluate import Comparison
 from logs.report.buckets import Buckets
 from logs.report.charts import Band, BarChart, Chart, Colour, Level, Line, Points, Stay, StripChart, TimeChart, band, line, short
-from logs.report.gather import BIASES, NUMBERS, SIGMAS_95, Gathered, Stretch, attitude_deg, seconds
+from logs.report.gather import BIASES, NUMBERS, SIGMAS_95, WEIGHTS, Gathered, Stretch, attitude_deg, seconds
 from models.messages import AidStatus, Array, Mode, Reason
 
 MODES: Final[dict[str, Colour]] = {
@@ -225,7 +225,7 @@ def mode_and_sources(collected: Collected, gathered: Gathered) -> Charts:
 
 
 def health(collected: Collected, gathered: Gathered) -> Charts:
-    """Age of the last absolute fix, attitude sigma, number of hypotheses."""
+    """Age of the last absolute fix, attitude sigma, number and weights of the hypotheses."""
     charts: Charts = {}
     if gathered.numbers is not None:
         for name, title, unit in (
@@ -235,7 +235,18 @@ def health(collected: Collected, gathered: Gathered) -> Charts:
         ):
             given = line("by the health", "blue", gathered.numbers, NUMBERS.index(name), _start(collected))
             charts[name] = TimeChart(title, unit, [given], height=165)
+        if np.isfinite(gathered.numbers.low[:, [NUMBERS.index(name) for name in WEIGHTS]]).any():
+            charts["weights"] = _weights(gathered.numbers, _start(collected))
     return charts
+
+
+def _weights(numbers: Buckets, start_ns: int) -> TimeChart:
+    """Why a fix is refused: what else may be wrong, and how likely that is beside the estimate."""
+    colours: tuple[Colour, ...] = ("vermillion", "orange", "green", "blue")
+    parts: list[Line | Band | Points] = [
+        line(name, colour, numbers, NUMBERS.index(name), start_ns) for name, colour in zip(WEIGHTS, colours, strict=True)
+    ]
+    return TimeChart("Other hypotheses, by what they assume (0: as likely as the estimate)", "ln", parts, height=210)
 
 
 def times(collected: Collected, gathered: Gathered) -> Charts:

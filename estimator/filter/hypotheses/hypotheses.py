@@ -113,6 +113,14 @@ class Hypotheses:
                 return frozenset(topics), float(np.linalg.norm(off))
         return None
 
+    @property
+    def weights(self) -> dict[str, float]:
+        """ln of the weight in the covariance, relative to the leading one, of the likeliest hypothesis for each assumption."""
+        found: dict[str, float] = {}
+        for member in self.members[1:]:
+            found[member.assumes] = max(found.get(member.assumes, -math.inf), member.weight + member.benefit)
+        return found
+
     def scale(self, variance_factor: float, topic: str = "") -> None:
         """The errors of every filter are larger than it says; `topic` has shown it: too much of it was refused."""
         lead = self.members[0]

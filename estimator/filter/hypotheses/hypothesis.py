@@ -7,6 +7,7 @@ from estimator.filter.eskf import Eskf
 from models import imu
 from models.messages import Array
 
+IMU_WRONG, RECEIVER_WRONG, FIX_FALSE, POSITION_WRONG = "IMU wrong", "receiver wrong", "fix false", "position wrong"
 FORGET = 20.0  # ln: further behind the leading one than this, a hypothesis is dropped
 _SHOWS = 9.2  # ln 10,000: further behind, the covariance leaves it out; a gate refuses one in as many good readings
 _SETTLED_S = 20.0  # a hypothesis that has agreed with the leading one for so long goes
@@ -81,6 +82,15 @@ class Hypothesis:
     def rejected(self) -> set[str]:
         """Topics whose last reading was false to it, or that it leaves out."""
         return {topic for topic, doubt in self.doubts.items() if not doubt.deliberate or topic == self.without}
+
+    @property
+    def assumes(self) -> str:
+        """What is wrong if it is right."""
+        if self.without:
+            return RECEIVER_WRONG
+        if self.doubts_imu:
+            return IMU_WRONG
+        return FIX_FALSE if any(doubt.deliberate for doubt in self.doubts.values()) else POSITION_WRONG
 
     def matters_beside(self, lead: "Hypothesis") -> bool:
         """It may still lead, or it shows in the covariance."""
