@@ -32,8 +32,11 @@ class Scatter(NamedTuple):
     factor: float = 1.0
 
     def also(self, t_ns: int, seen: Innovation, variance_factor: float) -> "Scatter":
-        """With one more innovation, whose noise was taken as self.factor times what the source claims."""
-        s = seen.s / variance_factor - (1.0 - 1.0 / self.factor) * seen.noise
+        """With one more innovation, whose noise was taken as self.factor times what the source claims.
+
+        variance_factor: f, which S contains: what it explains is no scatter.
+        """
+        s = seen.s - variance_factor * (1.0 - 1.0 / self.factor) * seen.noise
         seconds = (t_ns - self.t_ns) * 1e-9
         if self.last and (len(seen.nu) != len(self.last[-1][0]) or seconds > _APART_S):
             return Scatter(t_ns, ((seen.nu, s),))
