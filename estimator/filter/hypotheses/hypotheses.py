@@ -56,6 +56,7 @@ _MARGIN = 3.0  # ln: by which another must be better
 _LEAST_DOUBT = 1.0  # ln: a sceptic starts at least this far behind
 _TINY = 1e-9
 _UNSEEN_S, _FORGOTTEN_S = 0.5, 60.0  # a wrong IMU has been so for as long as since the last fix, but within these limits
+_LIKELY = 0.25  # share of the unknown motion within which an IMU that is wrong explains a fix
 _CONFIRMED_S = 60.0  # a run that another source confirms wins against a shorter one, up to this length
 AGAIN_S = 0.4  # a fix that is refused again costs 1 / AGAIN_S a second, ln
 _SEEN = 3.0  # ln: so far behind the leading one a new follower counts in the covariance
@@ -388,16 +389,18 @@ class Hypotheses:
         for clone in list(eskf.clones):  # nobody knows whether a kept pose has jumped, too
             eskf.forget(clone)
         since_s = min(max((aid.t_ns - lead.fused_ns) * 1e-9, _UNSEEN_S), _FORGOTTEN_S)
-        eskf.cov[: E.SIZE, : E.SIZE] += imu.unknown_motion(eskf.constants, since_s)
+        unknown = imu.unknown_motion(eskf.constants, since_s)
+        eskf.cov[: E.SIZE, : E.SIZE] += _LIKELY * unknown
         seen = innovation(eskf, aid, z, gyro_b)
         if not math.isfinite(seen.distance2):
             return None
         by_imu = seen.distance2 <= limit
+        eskf.cov[: E.SIZE, : E.SIZE] += (1.0 - _LIKELY) * unknown
         if not by_imu:
             for part in (E.P, E.THETA):
                 off = seen.h[:, part].T @ seen.nu
                 eskf.cov[part, part] += np.outer(off, off)
-            seen = innovation(eskf, aid, z, gyro_b)
+        seen = innovation(eskf, aid, z, gyro_b)
         follower.weight = self._behind(aid, vouched=vouched, by_imu=by_imu)  # the leading one
         if aid.topic not in lead.doubts:  # the first one that is refused may be the true one
             follower.benefit = max(-follower.weight - _SEEN, 0.0)

@@ -12,7 +12,8 @@ FORGET = 20.0  # ln: further behind the leading one than this, a hypothesis is d
 _SHOWS = 9.2  # ln 10,000: further behind, the covariance leaves it out; a gate refuses one in as many good readings
 _SETTLED_S = 20.0  # a hypothesis that has agreed with the leading one for so long goes
 _RUN_ENDS_S = 5.0  # without a fix for so long, a run of consistent fixes ends
-_LEAST_S, _MORE = 3.0, 3  # a run of fixes wins that is longer by so many of them, but lasts for so long at least
+_MORE = 3  # a run of fixes wins that is longer by so many of them
+_LEAST_IMU_S, _LEAST_S = 3.0, 4.5  # and lasts for so long at least: where a wrong IMU explains them, where nothing does
 _ENOUGH_S, _ENOUGH = 5.0, 11  # longer than both, it wins against any other one
 _PERIOD_S = 2.0  # between fixes, where it is not known
 
@@ -114,6 +115,6 @@ class Hypothesis:
         run_s = (self.fused_ns - self.run_ns) * 1e-9
         period_s = min((t_ns - self.fused_ns) * 1e-9, run_s / (self.run - 1) if self.run > 1 else _PERIOD_S)
         if imu_may_be_wrong:
-            return max(_LEAST_S, (_MORE - 1) * period_s) - 0.1 * period_s
+            return max(_LEAST_IMU_S, (_MORE - 1) * period_s) - 0.1 * period_s
         most_s = max(_ENOUGH_S, (_ENOUGH - 1) * period_s)
         return min(max(_LEAST_S, run_s + _MORE * period_s), most_s) - 0.1 * period_s

@@ -1,11 +1,11 @@
 """A source that is noisier than it claims: its readings scatter about one another, whatever the estimate is.
 
     d_k = nu_k - 2 nu_{k-1} + nu_{k-2},   r_k = d_k^T (S_k + 4 S_{k-1} + S_{k-2})^-1 d_k
-    R <- s R,   s = max(r_(8) / m_50 where r_(3) > chi2_0.96, s exp(-dt / tau))
+    R <- s R,   s = max(r_(8) / m_50 where r_(3) > chi2_0.96 and most nu_k^T S_k^-1 nu_k > chi2_0.9999, s exp(-dt / tau))
 
 r_(k): the k-th smallest of the last twelve; m_50: the median of chi-square. An offset, a drift, a pull or a filter that is wrong
-leave the second differences small. A jammed receiver makes all of them large. An outlier makes three of them large, so three
-outliers in twelve readings do not count.
+leave the second differences small. A jammed receiver makes all of them large. An outlier makes three of them large, but where
+half of the readings are as predicted, the others are outliers.
 """
 
 import math
@@ -18,7 +18,7 @@ from models.messages import Array
 
 _WINDOW, _RANK, _SIZE_RANK = 12, 3, 8
 _LARGEST, _GONE = 1e6, 1.1
-_USUAL = 0.96
+_USUAL, _FAR = 0.96, 0.9999
 _APART_S = 1.1  # readings further apart are not compared
 _FADES_S = 5.0
 
@@ -28,7 +28,7 @@ class Scatter(NamedTuple):
 
     t_ns: int
     last: tuple[tuple[Array, Array], ...]
-    ratios: tuple[float, ...] = ()
+    ratios: tuple[tuple[float, bool], ...] = ()  # and whether the reading was far from its prediction
     factor: float = 1.0
 
     def also(self, t_ns: int, seen: Innovation, variance_factor: float) -> "Scatter":
@@ -44,8 +44,10 @@ class Scatter(NamedTuple):
         factor, ratios, last = faded if faded > _GONE else 1.0, self.ratios, (*self.last[-1:], (seen.nu, s))
         if len(self.last) == 2:
             (nu_2, s_2), (nu_1, s_1) = self.last
-            ratios = (*ratios[1 - _WINDOW :], mahalanobis(seen.nu - 2.0 * nu_1 + nu_2, s + 4.0 * s_1 + s_2)[0])
-            dof = len(seen.nu)
-            if len(ratios) == _WINDOW and (ordered := sorted(ratios))[_RANK - 1] > gate(_USUAL, dof):
+            dof, is_far = len(seen.nu), mahalanobis(seen.nu, s)[0] > gate(_FAR, len(seen.nu))
+            ratios = (*ratios[1 - _WINDOW :], (mahalanobis(seen.nu - 2.0 * nu_1 + nu_2, s + 4.0 * s_1 + s_2)[0], is_far))
+            ordered = sorted(ratio for ratio, _ in ratios)
+            many = 2 * sum(far for _, far in ratios) > _WINDOW
+            if len(ratios) == _WINDOW and many and ordered[_RANK - 1] > gate(_USUAL, dof):
                 factor = max(factor, min(ordered[_SIZE_RANK - 1] / gate(0.5, dof), _LARGEST))
         return Scatter(t_ns, last, ratios, factor)
