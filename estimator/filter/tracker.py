@@ -349,6 +349,7 @@ class Tracker(Alignment):
         receiver = self.sources.get(aid.receiver or "", _UNKNOWN)  # of a velocity: it stands and falls with its positions
         trusted = state.phase is Phase.ACTIVE and (receiver.phase is Phase.ACTIVE or aid.t_ns > receiver.silent_ns)
         known = self.scatter.get(aid.topic) or Scatter(aid.t_ns, ())
+        trusted = trusted and known.factor < _USELESS
         if known.factor > 1.0 and isinstance(z, Pose | Position | Velocity):
             z = replace_in(z, noise=known.factor * z.noise)
         verdict = self.hypotheses.judge(aid, z, gyro_b, trusted=trusted, vouched=aid.absolute and self._vouched(aid))
@@ -377,8 +378,7 @@ class Tracker(Alignment):
         sigma = np.sqrt(verdict.seen.s.diagonal())
         if verdict.fused:
             reason = Reason.FUSED
-            if known.factor < _USELESS:
-                self._note_absolute(aid, z)
+            self._note_absolute(aid, z)
         elif trusted or not verdict.passed:
             reason = Reason.GATED
         else:

@@ -47,7 +47,7 @@ def moves(x: Array, cov: Array) -> bool:
 
 
 class HeldImu:
-    """Which values of an IMU are held: all six for 0.1 s, or one axis for 0.5 s that has read otherwise before."""
+    """Which values of an IMU are held: a sensor for 0.1 s, or one axis for 0.5 s, that have read otherwise before."""
 
     __slots__ = ("_alive", "_count", "_last", "_newest_ns", "_since_ns", "says")
 
@@ -81,8 +81,10 @@ class HeldImu:
     def _judge(self, sample: ImuSample) -> str:
         """What is held, where an axis reads as before."""
         for_ns = [sample.t_ns - since_ns for since_ns in self._since_ns]
-        if any(self._alive) and min(self._count) >= _FEWEST and min(for_ns) > _ALL_NS:
-            return "" if _rests(sample) else SAYS
+        for sensor in (slice(0, 3), slice(3, 6)):
+            is_held = any(self._alive[sensor]) and min(self._count[sensor]) >= _FEWEST and min(for_ns[sensor]) > _ALL_NS
+            if is_held and not _rests(sample):
+                return f"{_NAMES[sensor.start][:-2]}: {SAYS}"
         axes = [k for k, n in enumerate(self._count) if n >= _FEWEST and self._alive[k] and for_ns[k] > _AXIS_NS]
         if not axes or _rests(sample):
             return ""

@@ -45,7 +45,6 @@ _PROVEN_NS = 900_000_000  # in so long an IMU shows that it is right; each time 
 _THRICE_AT_MOST = 2
 _BESIDE_NS = 5_000_000_000
 _WRONG_NS = 30_000_000_000  # a heading that motion has refuted is not asked for
-_HEARD_NS = 10_000_000_000  # a source of the filter's positions is still there
 _FRESH_NS = 2_000_000_000  # a prior attitude is of now
 _XYZ = 3
 _LARGEST_NOISE = math.radians(30.0)  # a larger innovation of attitude is not the noise of a fix
@@ -253,12 +252,11 @@ class Alignment:
         """A position was foreseen by some filter or by none; the alignment begins again where the IMU turns out to be wrong."""
         if not aid.absolute:
             return
-        own_too = aid.topic == self.begun_by and self.conflicts.apart and not self.is_aligned
+        own_too = aid.topic == self.begun_by and self.conflicts.apart
         if not foreseen and own_too and self.contradiction.is_late(aid.t_ns):  # the filter began at a false position
             self._begin_again()
             return
-        heard = not self.is_aligned or aid.t_ns - self.last_absolute_ns < _HEARD_NS
-        if not foreseen and heard and self.contradiction.unforeseen and self._contradicts_start(aid):
+        if not foreseen and self.contradiction.unforeseen and self._contradicts_start(aid):
             return  # the source that it began with has the next word, and nothing is said of the IMU
         self.contradiction = NO_CONTRADICTION if foreseen else self.contradiction.also(aid.t_ns, z)
         if self.contradiction.is_shown:

@@ -55,7 +55,7 @@ _MOST = 4  # hypotheses at a time, those without a receiver not counted
 _MARGIN = 3.0  # ln: by which another must be better
 _LEAST_DOUBT = 1.0  # ln: a sceptic starts at least this far behind
 _TINY = 1e-9
-_UNSEEN_S, _FORGOTTEN_S = 0.5, 60.0  # a wrong IMU has been so for as long as since the last fix, but within these limits
+_UNSEEN_S, _FORGOTTEN_S = 0.5, 5.0  # a wrong IMU has been so since the last fix, within these limits
 _LIKELY = 0.25  # share of the unknown motion within which an IMU that is wrong explains a fix
 _CONFIRMED_S = 60.0  # a run that another source confirms wins against a shorter one, up to this length
 AGAIN_S = 0.4  # a fix that is refused again costs 1 / AGAIN_S a second, ln
@@ -64,13 +64,12 @@ _NOISIER = 256.0  # times the variance that a source claims
 
 
 class Verdict(NamedTuple):
-    """What the leading hypothesis made of a measurement; foreseen: by any."""
+    """What the leading hypothesis made of a measurement."""
 
     seen: Innovation
     gate: float
     passed: bool
     fused: bool
-    foreseen: bool
 
 
 class Hypotheses:
@@ -145,12 +144,12 @@ class Hypotheses:
         seen = [innovation(m.filter, aid, z, gyro_b) for m in self.members]
         passed = [s.distance2 <= limit for s in seen]
         if not trusted:
-            return Verdict(seen[0], limit, passed[0], fused=False, foreseen=any(passed))
+            return Verdict(seen[0], limit, passed[0], fused=False)
         if not aid.weighs:
             for member, by_member, fits in zip(self.members, seen, passed, strict=True):
                 if fits:
                     member.filter.update(by_member)
-            return Verdict(seen[0], limit, passed[0], passed[0], foreseen=any(passed))
+            return Verdict(seen[0], limit, passed[0], passed[0])
         left_out.end(self.members[0], aid, passed=passed[0])
         if vouched and passed[0] and left_out.add(self.members, aid):
             seen.append(seen[0])
@@ -207,7 +206,7 @@ class Hypotheses:
         if aid.absolute and fused[0] and self.members[0].doubts_imu:
             self._trust_imu_again(aid.t_ns)
         self._rank(aid.t_ns, follower)
-        return Verdict(seen[0], limit, passed[0], fused[0], foreseen=any(passed) or set_aside)
+        return Verdict(seen[0], limit, passed[0], fused[0])
 
     def _forgo_breadth(self, seen: list[Innovation], gained: dict[int, float], fused: list[bool]) -> None:
         """Where both fuse GNSS, a hypothesis gains on the leading one at most max(0, (d_0^2 - d_k^2) / 2), by the distances.
