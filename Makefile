@@ -52,18 +52,18 @@ kernels: $(VENV)/.installed
 	@$(BIN)/python -m estimator.tools.kernels
 
 $(VENV)/.installed: pyproject.toml $(VENV)/.locked
-	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+	@.ci/install --no-deps --no-build-isolation --editable .
 	@touch $@
 
 $(VENV)/.site: requirements-site.lock | $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --require-hashes -r requirements-site.lock
+	@.ci/install --require-hashes -r requirements-site.lock
 	@touch $@
 
-$(VENV)/.locked: requirements.lock | $(BIN)/pip
-	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
+$(VENV)/.locked: requirements.lock | $(BIN)/python
+	@.ci/install --require-hashes -r requirements.lock
 	@touch $@
 
-$(BIN)/pip:
+$(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "landfix needs Python 3.11 or newer: make PYTHON=python3.11")'
 	$(PYTHON) -m venv $(VENV)
 
