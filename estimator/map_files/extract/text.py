@@ -7,7 +7,7 @@ API/Overpass QL" and "Relation:multipolygon".
 import json
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from io import BufferedReader, RawIOBase
+from io import BufferedReader
 from pathlib import Path
 from typing import Any, Final
 
@@ -49,7 +49,7 @@ def read(path: Path) -> Iterator[Footprint]:
     yield from _document(path, document)
 
 
-def _check_end(path: Path, file: RawIOBase) -> None:
+def _check_end(path: Path, file: object) -> None:
     if isinstance(file, GzipFile) and file.torn:
         raise MapError(f"{path}: cannot be read (its end is missing)")
 
