@@ -3,6 +3,7 @@
 Every section is the struct of the part it configures; `landfix doctor --config` prints all keys with default, unit and meaning.
 """
 
+import re
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
@@ -59,6 +60,10 @@ class Imu(ImuNoise, frozen=True, forbid_unknown_fields=True):
         tuple[_Factor, ...],
         Meta(description="ratio: noise and walks of the second topic of [inputs] imu and those that follow to these; none: 1"),
     ] = ()
+
+
+_OWN = re.compile(r"/?landfix/(?!fix$|odometry_delta$)|/?tf(?:_static)?$")
+_WILD = re.compile(r"[*?#$]|\s")
 
 
 class Inputs(Topics, frozen=True, forbid_unknown_fields=True):
@@ -164,7 +169,12 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         )
 
     def decoder(self) -> Decoder:
-        """What reads the wire. Raises ConfigError for a topic that is to feed two inputs."""
+        """What reads the wire. Raises ConfigError for a topic that is to feed two inputs, is landfix's own, or no one topic."""
+        for name in self.inputs.__struct_fields__:
+            for topic in getattr(self.inputs, name):
+                if _OWN.match(topic) or _WILD.search(topic):
+                    what = "is an output of landfix" if _OWN.match(topic) else "names more than one topic"
+                    raise ConfigError(f"[inputs] {name}: {topic} {what}")
         try:
             return Decoder(self.inputs, self.mounting())
         except ValueError as error:

@@ -1,9 +1,17 @@
 """TOML text -> table; whatever the text, what is wrong with it is one line."""
 
+import re
 import tomllib
-from typing import Any
+from typing import Any, Final
 
 MOST_BYTES = 1_000_000  # of a configuration or a scenario, which a person writes
+_MOST_PARTS: Final = 16  # of a dotted key; tomllib's time and memory are quadratic in them
+_PART: Final = r"(?:[A-Za-z0-9_-]++|\"[^\"\n]*+\"|'[^'\n]*+')"
+_DEEP_KEY: Final = re.compile(
+    rf"(?P<deep>{_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{_MOST_PARTS},}}+)"
+    r"|\"{3}(?s:.*?)\"{3}|'{3}(?s:.*?)'{3}|\"(?:[^\"\\\n]|\\.)*+\"|'[^'\n]*+'|#[^\n]*+"
+    r"|[A-Za-z0-9_-]++"
+)
 
 
 def decode(data: bytes) -> str:
@@ -20,6 +28,8 @@ def table(text: str) -> dict[str, Any]:
     """The table of a TOML text. Raises ValueError."""
     if len(text) > MOST_BYTES:
         raise ValueError(f"is larger than {MOST_BYTES:_} bytes")
+    if any(found["deep"] for found in _DEEP_KEY.finditer(text)):
+        raise ValueError(f"not valid TOML: a key of more than {_MOST_PARTS} parts")
     try:
         return tomllib.loads(text)
     except RecursionError:

@@ -24,6 +24,7 @@ class OdometryProcessor:
     def __init__(self, rig: StereoRig) -> None:
         cv2.setNumThreads(1)
         self._odometry = StereoOdometry(rig)
+        self._most_pixels = max(camera.width * camera.height for camera in (rig.left, rig.right))
         self._time_offset_ns = round(rig.time_offset_s * 1e9)
         self._frames: dict[tuple[ImageName | None, ...], Frame | str] = {}
 
@@ -61,7 +62,7 @@ class OdometryProcessor:
         images: list[Pixels | None] = []
         for shot in pair:
             try:
-                images.append(None if shot is None else decode_image(shot.schema, shot.data))
+                images.append(None if shot is None else decode_image(shot.schema, shot.data, self._most_pixels))
             except ImageError as error:
                 return f"{shot.topic}: {error}" if shot else str(error)
         return self._odometry.frame(images[0], images[1])

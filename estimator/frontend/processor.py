@@ -23,6 +23,7 @@ from vision.image.scaled import scaled
 from vision.recognisers import MapImage, RecogniserConfig, Recognisers
 
 _JPEG_QUALITY: Final = 80
+_MOST_TIMES: Final = 4  # the pixels of the rig's camera: an image of twice its width is scaled down, a larger one is not decoded
 _CAMERAS_HZ: Final = 1.0  # again and again: who comes later, and a part of a rotated log, know them too
 
 
@@ -107,6 +108,6 @@ def _decoded(shot: Shot | None, camera: CameraModel) -> Pixels | str | None:
     if shot is None:
         return None
     try:
-        return scaled(decode_image(shot.schema, shot.data), camera)
+        return scaled(decode_image(shot.schema, shot.data, _MOST_TIMES * camera.width * camera.height), camera)
     except ImageError as error:
         return f"{shot.topic}: {error}"

@@ -20,6 +20,8 @@ from models.maps import projection
 from models.maps.landmarks import LandmarkMap
 from models.maps.table import MapError
 from models.messages import Array
+from models.untrusted.boundary import refusing
+from models.untrusted.image_header import image_header_of_file, too_large
 
 _SCALE, _TIEPOINT, _TRANSFORM, _KEYS = 33550, 33922, 34264, 34735  # GeoTIFF tags
 _RASTER, _GEOGRAPHIC, _PROJECTED, _POINT = 1025, 2048, 3072, 2  # GeoTIFF keys; a pixel's place is its centre
@@ -27,6 +29,8 @@ _FORMATS = {2: "s", 3: "H", 4: "I", 12: "d"}  # TIFF's types that these tags hav
 _LEAST_PX = 4  # that make a colour
 _MARGIN = 0.15  # of the width, along the edge: eaves, shadow, mixed pixels
 _STRIP = 256  # rows that are stretched at a time
+_MOST_PIXELS = 2**30  # as OpenCV
+_NO_IMAGE = "not an image that can be read (PNG, JPEG, TIFF of less than 2^30 pixels)"
 _STRETCH = (1.0, 99.0)  # percentiles of a 16-bit image that become 0 and 255
 
 
@@ -48,16 +52,18 @@ def load(path: Path, epsg: int = 0, *, grey: bool = False) -> Orthophoto:
     """The image of a file; epsg: its system, where the file holds none; grey: decoded without its colours, which would take
     three times the memory. Raises MapError, one line.
     """
-    image = _decode(path, cv2.IMREAD_ANYDEPTH | (cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR))
-    return Orthophoto(_to_8_bit(image), *georeference(path, epsg))
+    with refusing(MapError, path, OSError):
+        image = _decode(path, cv2.IMREAD_ANYDEPTH | (cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR))
+        return Orthophoto(_to_8_bit(image), *georeference(path, epsg))
 
 
 def load_raster(path: Path, epsg: int = 0) -> tuple[Array, Array, int]:
     """Numbers (H, W) of a georeferenced raster of one band, as they are; its affine and EPSG code. Raises MapError, one line."""
-    values = _decode(path, cv2.IMREAD_UNCHANGED)
-    if values.ndim != 2:
-        raise MapError(f"{path}: has {values.shape[2]} bands, not one of heights")
-    return values.astype(np.float64), *georeference(path, epsg)
+    with refusing(MapError, path, OSError):
+        values = _decode(path, cv2.IMREAD_UNCHANGED)
+        if values.ndim != 2:
+            raise MapError(f"{path}: has {values.shape[2]} bands, not one of heights")
+        return values.astype(np.float64), *georeference(path, epsg)
 
 
 def georeference(path: Path, epsg: int = 0) -> tuple[Array, int]:
@@ -82,14 +88,17 @@ def georeference(path: Path, epsg: int = 0) -> tuple[Array, int]:
 
 def _decode(path: Path, flags: int) -> cv2.typing.MatLike:
     """Strip by strip from the file: the compressed image is never in memory as a whole. Raises OSError where there is none."""
-    path.stat()
+    header = image_header_of_file(path)
+    reason = too_large(header, path.stat().st_size, _MOST_PIXELS) if header else _NO_IMAGE
+    if reason:
+        raise MapError(f"{path}: {reason}")
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # it does not know GeoTIFF's tags, and says so
     try:
         image = cv2.imread(str(path), flags)
     except cv2.error:
         image = None
     if image is None:
-        raise MapError(f"{path}: not an image that can be read (PNG, JPEG, TIFF of less than 2^30 pixels)")
+        raise MapError(f"{path}: {_NO_IMAGE}")
     return image
 
 
@@ -210,6 +219,8 @@ def _read_tags(data: mmap.mmap, order: str) -> dict[int, tuple[float, ...]]:
         for k in range(count):
             tag, kind, number = struct.unpack_from(order + "HHI", data, start + 2 + 12 * k)
             if tag in (_SCALE, _TIEPOINT, _TRANSFORM, _KEYS) and kind in _FORMATS:
+                if number > len(data):
+                    return {}
                 form = f"{order}{number}{_FORMATS[kind]}"
                 (place,) = struct.unpack_from(order + "I", data, start + 10 + 12 * k)
                 tags[tag] = struct.unpack_from(form, data, place if struct.calcsize(form) > 4 else start + 10 + 12 * k)

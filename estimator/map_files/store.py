@@ -6,6 +6,7 @@ from models.maps import geojson
 from models.maps.landmarks import LandmarkMap
 from models.maps.table import Defaults, MapError
 from models.messages import Vec3
+from models.untrusted.boundary import refusing
 
 _HEAD = 4096  # bytes: where a map of ours says its origin
 
@@ -14,7 +15,8 @@ def load(path: Path, defaults: Defaults | None = None) -> LandmarkMap:
     """The map of a file. Raises MapError, one line that names the file; OSError where it cannot be read."""
     data = path.read_bytes()
     try:
-        return LandmarkMap.from_geojson(data, defaults)
+        with refusing(MapError, "the map"):
+            return LandmarkMap.from_geojson(data, defaults)
     except MapError as error:
         raise MapError(f"{path}: {error}") from None
 
@@ -24,6 +26,6 @@ def origin(path: Path) -> Vec3:
 
     Raises as load does.
     """
-    with path.open("rb") as file:
+    with path.open("rb") as file, refusing(MapError, path):
         own = geojson.origin_of(file.read(_HEAD))
     return own or load(path).origin

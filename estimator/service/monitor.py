@@ -25,6 +25,7 @@ from logs.wire.codec import INTEGRITY_TOPIC, Odometry, decode_aid_status, decode
 from logs.wire.schemas import STORE
 from models import so3
 from models.messages import Alert, Integrity
+from models.toml_text import one_line
 
 _STALE_S: Final = 2.0
 _RECENT: Final = 200  # measurements of a source whose fate is shown, and estimates whose rate is
@@ -39,6 +40,7 @@ _MODES: Final = {
 }
 _ALERTS: Final = {Alert.NOT_JUDGED: "", Alert.USABLE: "green", Alert.CAUTION: "yellow", Alert.DO_NOT_USE: "bold red"}
 _WIDTH: Final = 100
+_MOST_TOPICS: Final = 100
 _REFRESH_HZ: Final = 5.0
 _ANSWER_S: Final = 3.0
 
@@ -70,8 +72,9 @@ class View:
             self.daemon = _values(data)
         elif topic == "/landfix/aid_status":
             status = decode_aid_status(data)
-            seen = self._aids.setdefault(status.topic, deque(maxlen=_RECENT))
-            seen.append((status.reason, status.test_ratio, status.delay_s, status.detail))
+            if (name := one_line(status.topic)) in self._aids or len(self._aids) < _MOST_TOPICS:
+                seen = self._aids.setdefault(name, deque(maxlen=_RECENT))
+                seen.append((one_line(status.reason), status.test_ratio, status.delay_s, one_line(status.detail)))
         elif topic == "/landfix/global":
             message: Any = STORE.deserialize_cdr(data, schemas.NAV_SAT_FIX)
             self.place = message.latitude, message.longitude, message.altitude
@@ -229,7 +232,7 @@ def _listen(session: zenoh.Session, domain: int, view: View) -> list[zenoh.Subsc
 def _values(data: bytes) -> dict[str, str]:
     """The keys and values of a DiagnosticArray's first status."""
     message: Any = STORE.deserialize_cdr(data, schemas.DIAGNOSTICS)
-    return {pair.key: pair.value for pair in message.status[0].values}
+    return {one_line(pair.key): one_line(pair.value) for pair in message.status[0].values}
 
 
 def _fates(reasons: Iterable[str]) -> Text:
@@ -266,7 +269,7 @@ def _alert(integrity: Integrity) -> Text:
     )
     state = f"{i.state}, no alert limits configured" if i.state is Alert.NOT_JUDGED else str(i.state)
     words = f"{state}   {shown} at {i.risk_per_hour:g} per hour"
-    return Text(f"{words}\n{i.reason}" if i.reason else words, style=_ALERTS[i.state])
+    return Text(f"{words}\n{one_line(i.reason)}" if i.reason else words, style=_ALERTS[i.state])
 
 
 def _metres(given: str | None) -> str:
@@ -274,8 +277,16 @@ def _metres(given: str | None) -> str:
     return "unknown" if math.isinf(radius_m) else f"{radius_m:.2f} m"
 
 
+class _Table(Table):
+    """A table in which a string is text: of what peers sent nothing is taken for markup."""
+
+    def add_row(self, *cells: RenderableType | None, **how: Any) -> None:
+        """As of any table."""
+        super().add_row(*(Text(cell) if isinstance(cell, str) else cell for cell in cells), **how)
+
+
 def _table(*columns: str, header: bool = False) -> Table:
-    table = Table(box=None, show_header=header, pad_edge=False, header_style="dim")
+    table = _Table(box=None, show_header=header, pad_edge=False, header_style="dim")
     for k, name in enumerate(columns):
         table.add_column(name, style="dim" if k == 0 and not header else "", no_wrap=k == 0)
     return table

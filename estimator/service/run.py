@@ -139,7 +139,9 @@ def assembled(
     with ExitStack() as stack:
         if config.log.enabled or state_path:
             stack.enter_context(claim(logs))
-        saved = state_file.load(state_path) if state_path else None
+        saved, why = state_file.load(state_path) if state_path else (None, "")
+        if why:
+            console.say(f"{state_path}: {why}; the daemon starts anew, and writes it anew")
         clock = clock or state_file.clock_of(saved)
         if config.log.enabled and (recovery := recover_in_background(logs)):
             threading.Thread(target=recovery.wait, name="recovery", daemon=True).start()  # it may take longer than we live

@@ -9,7 +9,7 @@ needed.
 May import logs.store, logs.wire and models.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from logs.importers.summary import ImportSummary
 from logs.store.reader import LogError
 from logs.store.recorder import REFERENCE_ATTACHMENT, Recorder
 from logs.wire.encoding import Encoded, encode_input, encode_truth
+from models.untrusted.boundary import refusing
 
 __all__ = ["KINDS", "ROSBAG", "ImportOptions", "ImportSummary", "Recording", "Truth", "convert", "read"]
 
@@ -35,7 +36,8 @@ def read(kind: str, source: Path, options: ImportOptions = DEFAULTS, progress: P
     if not source.exists():
         raise LogError(f"{source}: no such file or folder")
     importer: Callable[[Path, ImportOptions, Progress | None], Recording] = import_module(f"logs.importers.{KINDS[kind]}").read
-    return importer(source, options, progress)
+    with refusing(LogError, source):
+        return importer(source, options, progress)
 
 
 def convert(
@@ -47,19 +49,19 @@ def convert(
     if kind == ROSBAG:
         options.refuse_but(kind, "imu")
         copy: Callable[..., ImportSummary] = import_module("logs.importers.rosbag.convert").convert
-        return copy(source, out, progress, options.imu)
+        with refusing(LogError, source, OSError):
+            return copy(source, out, progress, options.imu)
     recording = read(kind, source, options, None if progress is None else lambda done: progress(_READING * done))
     counts: dict[str, int] = {}
     start_ns = end_ns = None
     with Recorder(out, metadata={"imported_from": source.name, "import_kind": kind}) as recorder:
         if recording.reference:  # an attachment, so that a replay hands it on
             recorder.attach(REFERENCE_ATTACHMENT, "text/plain", recording.reference.encode())
-        for k, message in enumerate(recording, 1):
-            topic, schema, data = encode(message)
-            recorder.write(topic, schema, data, message.arrived_ns)
+        for k, ((topic, schema, data), arrived_ns) in enumerate(_encoded(recording, source), 1):
+            recorder.write(topic, schema, data, arrived_ns)
             counts[topic] = counts.get(topic, 0) + 1
-            start_ns = message.arrived_ns if start_ns is None else start_ns
-            end_ns = message.arrived_ns
+            start_ns = arrived_ns if start_ns is None else start_ns
+            end_ns = arrived_ns
             if progress and k % _PROGRESS_EVERY == 0:
                 progress(_READING + (1.0 - _READING) * k / len(recording))
     config = out.with_suffix(".toml")
@@ -70,6 +72,13 @@ def convert(
     if progress:
         progress(1.0)
     return ImportSummary(str(out), str(config), counts, start_ns or 0, end_ns or 0, recording.notes)
+
+
+def _encoded(recording: Recording, source: Path) -> Iterator[tuple[Encoded, int]]:
+    """Messages on the wire, and when they arrived; a number that no message can hold is damage of the log."""
+    with refusing(LogError, source):
+        for message in recording:
+            yield encode(message), message.arrived_ns
 
 
 def encode(message: Message) -> Encoded:

@@ -5,7 +5,6 @@ far as it goes; both are reported in `notes`.
 """
 
 import re
-import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
@@ -17,6 +16,7 @@ from logs.importers.recording import EPOCH_NS, Times
 from logs.store.reader import LogError
 from models.frames import GRAVITY
 from models.messages import Array
+from models.untrusted.gzip import GzipFile
 
 DEG = np.pi / 180.0
 
@@ -163,32 +163,19 @@ def _plain(header: str) -> str:
 def _text(path: Path) -> tuple[str, bool]:
     """The text of a file, unpacked, and whether its end is missing."""
     try:
-        data = path.read_bytes()
+        if path.suffix != ".gz":
+            data, torn = path.read_bytes(), False
+        else:
+            with GzipFile(path) as file:
+                data, torn = file.readall(), file.torn
     except OSError as error:
         raise LogError(f"{path}: {error.strerror}") from None
-    torn = False
-    if path.suffix == ".gz":
-        data, torn = _unpacked(path, data)
+    except ValueError as error:
+        raise LogError(f"{path.name}: {error}") from None
     try:
-        return data.decode("utf-8-sig"), torn
+        return (data or b"").decode("utf-8-sig"), torn
     except UnicodeDecodeError:
         raise LogError(f"{path.name}: not a CSV text file") from None
-
-
-def _unpacked(path: Path, data: bytes) -> tuple[bytes, bool]:
-    parts = []
-    while data:
-        gzip = zlib.decompressobj(wbits=31)
-        try:
-            parts.append(gzip.decompress(data))
-        except zlib.error:
-            if not parts:
-                raise LogError(f"{path.name}: not a gzip file, or a damaged one") from None
-            return b"".join(parts), True
-        if not gzip.eof:
-            return b"".join(parts), True
-        data = gzip.unused_data
-    return b"".join(parts), False
 
 
 def _whole(rows: list[str], cells: int) -> tuple[list[str], str]:

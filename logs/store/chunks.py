@@ -1,25 +1,13 @@
-"""A chunk's content, bounded: a small file cannot make its reader use much memory or time.
-
-A chunk declares the size of its content. It is decompressed to that size at most, and only where that size is allowed: for one
-chunk by MOST_BYTES, for all chunks read so far by SPARE_BYTES + MOST_RATIO x the bytes of the file that were read.
-"""
+"""A chunk's content: decompressed to the size that it declares at most, where models.untrusted.limits allows that size."""
 
 import zlib
 from io import BytesIO
-from typing import Final
 
 import lz4.frame
 import zstandard
 from mcap.records import Chunk
 
-MOST_BYTES: Final = 256 * 2**20  # of one chunk; writers use 1 to 4 MiB, or one large message
-SPARE_BYTES: Final = 2 * 2**30
-MOST_RATIO: Final = 1000  # black images reach it, over a whole log
-_MIB: Final = 2**20
-
-
-class TooLargeError(ValueError):
-    """A chunk declares more than is read."""
+from models.untrusted.limits import check
 
 
 def content_of(chunk: Chunk, allowed: int) -> bytes:
@@ -29,12 +17,7 @@ def content_of(chunk: Chunk, allowed: int) -> bytes:
     decompressor's exception where it is damaged.
     """
     size = chunk.uncompressed_size
-    most = min(MOST_BYTES, allowed)
-    if size > most:
-        raise TooLargeError(
-            f"a chunk of {len(chunk.data)} bytes declares {size / _MIB:.0f} MiB of content, {most / _MIB:.0f} are read at most: "
-            "it was not recorded by a logger"
-        )
+    check(size, len(chunk.data), allowed)
     if chunk.compression == "zstd":
         content = zstandard.ZstdDecompressor().stream_reader(BytesIO(chunk.data), read_across_frames=True).read(size + 1)
     elif chunk.compression == "lz4":

@@ -1,5 +1,6 @@
 """Writing a log: MCAP, LZ4, profile ros2, such that a killed process has lost at most 0.1 s of it."""
 
+import errno
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -54,14 +55,24 @@ class Recorder:
         *,
         metadata: Mapping[str, str] | None = None,
         schemas: Mapping[str, Schema] | None = None,
+        new_mode: int | None = None,
     ) -> None:
+        """new_mode: the file must not be there, not even as a link, and gets these permissions."""
         self.path = Path(path)
+        self._on_disk = 0  # bytes
+        self.truncated = False
         self._schemas = schemas or {}
         self._channels: dict[tuple[str, str], int] = {}
         self._schema_ids: dict[str, int] = {}
         self._chunk_start_ns: int | None = None
         try:
-            self._file = self.path.open("wb")
+            self._file = (
+                self.path.open("wb")
+                if new_mode is None
+                else open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, new_mode), "wb")  # noqa: PTH123, SIM115
+            )
+        except FileExistsError:
+            raise FileExistsError(f"{path}: is there already") from None
         except OSError as error:
             raise LogError(f"{path}: cannot be written ({(error.strerror or 'unknown error').lower()})") from None
         self._writer = McapWriter(self._file, CHUNK_BYTES)
@@ -88,7 +99,7 @@ class Recorder:
         start = self._chunk_start_ns
         try:
             if start is None or not -FLUSH_NS < log_time_ns - start < FLUSH_NS:
-                self._writer.flush()
+                self._hand_over()
                 self._chunk_start_ns = log_time_ns
             channel = self._channels.get((topic, schema)) or self._channel(topic, schema)
             self._writer.add_message(channel, log_time_ns, data, log_time_ns)
@@ -104,8 +115,17 @@ class Recorder:
     def flush(self) -> None:
         """Hand all that was written to the operating system: it outlives this process, though not a power cut."""
         with self._one_line():
-            self._writer.flush()
+            self._hand_over()
         self._chunk_start_ns = None
+
+    def _hand_over(self) -> None:
+        """To the operating system. Raises OSError where another program has shortened the file meanwhile."""
+        if os.fstat(self._file.fileno()).st_size < self._on_disk:
+            self.truncated = True
+            raise OSError(errno.ESTALE, "another program has shortened it")
+        self._writer.flush()
+        self._file.flush()
+        self._on_disk = self._file.tell()
 
     @property
     def is_in_place(self) -> bool:

@@ -1,9 +1,9 @@
 """MCAP records off a file that may be cut or damaged: everything that is whole, in file order, and never an exception.
 
 A record is opcode (1 byte), length (8 bytes) and content, so a cut ends the reading at the last whole record. A chunk that
-fails its CRC, or declares more content than logs.store.chunks allows, is left out. Where the framing itself is damaged, reading
-goes on at the next compressed chunk that can be found, until more bytes have been tried in vain than _VAIN_RATIO times the size
-of the file: so the work is linear in that size.
+fails its CRC, or holds more bytes or records than models.untrusted.limits allows, is left out. Where the framing itself is
+damaged, reading goes on at the next compressed chunk that can be found, until more bytes have been tried in vain than
+_VAIN_RATIO times the size of the file: so the work is linear in that size.
 Format: https://mcap.dev/spec.
 """
 
@@ -25,7 +25,8 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Footer, Header, McapRecord, Metadata, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
-from logs.store.chunks import MOST_RATIO, SPARE_BYTES, TooLargeError, content_of
+from logs.store.chunks import content_of
+from models.untrusted.limits import TooLargeError, allowed, check_records
 
 RawMessage: TypeAlias = tuple[int, int, int, int, bytes]
 """Channel, sequence, log time, publish time, data."""
@@ -44,6 +45,7 @@ _CONTENT: Final = {
     Opcode.STATISTICS: Statistics.read,
 }
 _VAIN_RATIO: Final = 4
+_CHECK_EVERY: Final = 1000  # records
 _IMPORTED: Final = {b"ULog\x01\x12\x35": ("a PX4", "ulog"), b"\xa3\x95\x80\x80": ("an ArduPilot dataflash", "dataflash")}
 _ZSTD: Final = b"\x28\xb5\x2f\xfd"
 _NOTES: Final = {
@@ -137,6 +139,7 @@ class RecordFile:
         self._chunked = False
         self._too_large = ""  # why the first chunk that was too large was left out
         self._decompressed = self._in_vain = 0  # bytes; of chunks that were damaged
+        self._records = 0
 
     def _frames(self) -> Iterator[tuple[int, bytes, int]]:
         """(opcode, content, position) of each record up to the footer; over damage to the next chunk."""
@@ -177,7 +180,9 @@ class RecordFile:
         try:
             fields = _stream(content)
             chunk = Chunk.read(fields)
-            messages = self._block(content_of(chunk, SPARE_BYTES + MOST_RATIO * start - self._decompressed))
+            content_bytes = content_of(chunk, allowed(start) - self._decompressed)
+            self._decompressed += len(content_bytes)
+            messages = self._block(content_bytes)
         except Exception as error:  # each decompressor has exceptions of its own
             if isinstance(error, TooLargeError):
                 self._too_large = self._too_large or str(error)
@@ -185,7 +190,6 @@ class RecordFile:
             self._skip(start)
             self._damaged = True
             return []
-        self._decompressed += chunk.uncompressed_size
         self._whole = start + _FRAME.size + fields.count  # by the chunk's own account: the record's length may be what is wrong
         self._damaged, self._chunked = False, True
         return messages
@@ -221,6 +225,9 @@ class RecordFile:
             elif opcode in _CONTENT:
                 self._note(_CONTENT[Opcode(opcode)](_stream(block[at + _FRAME.size : after])))
             at = after
+            self._records += 1
+            if self._records % _CHECK_EVERY == 0:
+                check_records(self._records, self._file.tell())
         return messages
 
     def _note(self, record: McapRecord) -> None:

@@ -1,4 +1,4 @@
-"""Images, to and from the wire.
+"""Images, to and from the wire; the one place where a camera's image file is decoded.
 
 sensor_msgs/msg/Image holds the pixels, CompressedImage a JPEG or PNG file. Inside, an image is an array: (H, W) grey of 8 or 16
 bit, or (H, W, 3) BGR of 8 bit.
@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from logs.wire import schemas
 from logs.wire.encoding import Encoded, header_of, packed
 from logs.wire.schemas import STORE
+from models.untrusted.image_header import image_header, too_large
+from models.untrusted.limits import CAMERA_PIXELS
 
 Pixels: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -54,11 +56,11 @@ def encode_image(t_ns: int, image: Pixels, topic: str, *, jpeg_quality: int | No
     )
 
 
-def decode_image(schema: str, data: bytes) -> Pixels:
-    """The image in an Image or CompressedImage. Raises ImageError."""
+def decode_image(schema: str, data: bytes, most_pixels: int = CAMERA_PIXELS) -> Pixels:
+    """The image in an Image or CompressedImage. Raises ImageError, before it is decoded where it has more pixels."""
     try:
         message: Any = STORE.deserialize_cdr(data, schema)
-        return _unpacked(message) if schema == schemas.IMAGE else _read(message)
+        return _unpacked(message) if schema == schemas.IMAGE else decode_file(message.data, most_pixels)
     except ImageError:
         raise
     except Exception as error:  # bytes from outside: whatever they trip over, they are no image
@@ -82,12 +84,20 @@ def _unpacked(message: Any) -> Pixels:
     return image if channels == 3 else image[:, :, 0]
 
 
-def _read(message: Any) -> Pixels:
-    """The image in a JPEG or PNG file, not turned by what its EXIF says."""
-    data = np.asarray(message.data, np.uint8)
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION) if len(data) else None
+def decode_file(content: bytes | NDArray[np.uint8], most_pixels: int = CAMERA_PIXELS) -> Pixels:
+    """The image in a JPEG, PNG, TIFF, BMP, WebP or PNM file, not turned by what its EXIF says. Raises ImageError."""
+    data = np.frombuffer(content, np.uint8)
+    header = image_header(data.data)
+    if header is None:
+        raise ImageError(f"no image that can be read ({len(data)} bytes; needed: JPEG, PNG, TIFF, BMP, WebP or PNM)")
+    if reason := too_large(header, len(data), most_pixels):
+        raise ImageError(reason)
+    try:
+        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
+    except cv2.error:
+        image = None
     if image is None:
-        raise ImageError(f"not an image file that can be read ({message.format or 'unknown format'}, {len(data)} bytes)")
+        raise ImageError(f"no image that can be read ({len(data)} bytes, damaged)")
     if image.ndim == 3 and image.shape[2] == 4:
         image = image[:, :, :3]
     if image.dtype not in {np.dtype(np.uint8), np.dtype(np.uint16)} or (image.ndim == 3 and image.dtype != np.uint8):

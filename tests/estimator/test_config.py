@@ -1,3 +1,4 @@
+import re
 from pathlib import Path
 
 import pytest
@@ -134,3 +135,20 @@ def test_every_physical_number_has_a_unit() -> None:
     without = {f"{k.section}.{k.name}" for k in strict_toml.keys(Config) if not k.unit and k.default[0] in "-0123456789"}
     suffixed = {k for k in without if k.endswith(("_s", "_m", "_deg", "_hz", "_noise", "_walk"))}
     assert suffixed == set()
+
+
+@pytest.mark.parametrize(
+    ("topic", "what"),
+    [
+        ("/landfix/odometry", "is an output of landfix"),
+        ("landfix/global", "is an output of landfix"),
+        ("/tf", "is an output of landfix"),
+        ("/**", "names more than one topic"),
+        ("/a/*/imu", "names more than one topic"),
+    ],
+)
+def test_an_input_is_one_topic_and_not_an_own_output(topic: str, what: str) -> None:
+    for key in ("imu", "gnss", "odometry", "left_image"):
+        with pytest.raises(ConfigError, match=re.escape(f"[inputs] {key}: {topic} {what}")):
+            parse(f'[inputs]\n{key} = "{topic}"\n')
+    parse('[inputs]\npose_fix = ["/tf_fix", "/mine/landfix/fix"]\n')

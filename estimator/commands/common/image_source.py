@@ -84,22 +84,18 @@ def _files(source: str) -> list[str]:
 
 
 def _still(path: Path, k: int) -> Iterator[SourceImage]:
-    import cv2
-    import numpy as np
-
     from logs.importers.quiet import silence
+    from logs.wire.images import ImageError, decode_file
 
-    data = np.frombuffer(path.read_bytes() or b"\0", dtype=np.uint8)
-    with silence():  # libpng and OpenCV would tell of a torn file, too
-        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
     numbers = re.findall(r"\d+", path.stem)
     key = int(numbers[-1]) if numbers else -1 - k
-    if image is None:
-        yield SourceImage(
-            path.name, key, None, 1.0, "no image that can be read (needed: JPEG, PNG, TIFF, a video, or an MCAP log)"
-        )
+    try:
+        with silence():  # libpng and OpenCV would tell of a torn file, too
+            image = decode_file(path.read_bytes())
+    except (ImageError, OSError) as error:
+        yield SourceImage(path.name, key, None, 1.0, getattr(error, "strerror", None) or str(error))
     else:
-        yield SourceImage(path.name, key, image[..., :3] if image.ndim == 3 else image, 1.0)
+        yield SourceImage(path.name, key, image, 1.0)
 
 
 def _video(path: Path, most: int) -> Iterator[SourceImage]:

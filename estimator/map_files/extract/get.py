@@ -19,6 +19,7 @@ from estimator.map_files.extract.footprint import Footprint, Place, wrapped
 from estimator.map_files.terrain import Terrain
 from models.maps.landmarks import LandmarkMap
 from models.maps.table import Defaults, MapError
+from models.untrusted.boundary import refusing
 
 _TEXT: Final = (".geojson", ".json", ".geojsonl", ".geojsons", ".ndjson", ".jsonl")
 _GDAL: Final = (".gpkg", ".shp", ".osm", ".pbf", ".fgb", ".kml", ".kmz", ".gml")
@@ -155,6 +156,14 @@ def _files(source: Path) -> list[Path]:
 
 
 def _footprints(path: Path, place: Place) -> Iterator[Footprint]:
+    """Those of a file. Raises MapError, whatever is wrong with it."""
+    with refusing(MapError, path):
+        for footprint in _reader(path, place):
+            if np.isfinite(footprint.ring).all() and len(footprint.ring) > 0:
+                yield footprint
+
+
+def _reader(path: Path, place: Place) -> Iterator[Footprint]:
     name = path.name.lower().removesuffix(".gz")
     if name.endswith(_PARQUET):
         return tables.read_parquet(path, place)

@@ -16,8 +16,12 @@ from estimator.map_files.extract.crs import box_of, to_lonlat
 from estimator.map_files.extract.footprint import Footprint, Place
 from estimator.map_files.extract.wkb import outer_rings
 from models.maps.table import MapError
+from models.toml_text import one_line
 
 _TAG = re.compile(r'"((?:[^"\\]|\\.)*)"=>"((?:[^"\\]|\\.)*)"')  # of the tags that GDAL keeps in one text
+
+_MAGIC = {".gpkg": b"SQLite format 3\0", ".shp": b"\0\0\x27\x0a", ".fgb": b"fgb", ".kmz": b"PK"}
+_HEAD = 65536  # bytes
 
 
 def read_gdal(path: Path, place: Place) -> Iterator[Footprint]:
@@ -27,6 +31,7 @@ def read_gdal(path: Path, place: Place) -> Iterator[Footprint]:
         import pyogrio.raw  # noqa: PLC0415
     except ImportError:
         raise MapError(f"{path}: {path.suffix} files need pyogrio: pip install 'landfix[geo]'") from None
+    _check_head(path)
     try:
         for layer, kind in pyogrio.list_layers(path).tolist():
             if kind is not None and "Polygon" not in kind and kind != "Unknown":
@@ -36,8 +41,23 @@ def read_gdal(path: Path, place: Place) -> Iterator[Footprint]:
                 with warnings.catch_warnings(action="ignore"):  # of GDAL, about single features; the map's report judges them
                     read = pyogrio.raw.read(path, layer=layer, bbox=box_of(crs, box, str(path)))
                 yield from _rows(path, read, crs, with_tags="osm_id" in read[0]["fields"])
-    except pyogrio.errors.DataSourceError as error:
-        raise MapError(f"{path}: cannot be read ({error})") from None
+    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError) as error:
+        raise MapError(f"{path}: cannot be read ({one_line(str(error))})") from None
+
+
+def _check_head(path: Path) -> None:
+    """Refuse a file that begins otherwise than its name says: GDAL goes by the content, and one of its formats names other files.
+
+    Raises MapError.
+    """
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+    except OSError as error:
+        raise MapError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
+    wanted = _MAGIC.get(path.suffix.lower(), b"")
+    if not head.startswith(wanted) or b"<OGRVRT" in head or b"<VRT" in head:
+        raise MapError(f"{path}: is no {path.suffix} file by its first bytes")
 
 
 def _rows(path: Path, read: Any, crs: Any, *, with_tags: bool) -> Iterator[Footprint]:

@@ -4,9 +4,10 @@ Of Overpass JSON ways and multipolygon relations, with `out geom;` or with their
 API/Overpass QL" and "Relation:multipolygon".
 """
 
-import gzip
 import json
+from collections import defaultdict
 from collections.abc import Iterable, Iterator
+from io import BufferedReader
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,6 +17,7 @@ from estimator.map_files.extract.crs import ToLonLat, to_lonlat
 from estimator.map_files.extract.footprint import Footprint, rings
 from models.maps.table import MapError
 from models.messages import Array
+from models.untrusted.gzip import GzipFile
 
 _LINES: Final = (".geojsonl", ".geojsons", ".ndjson", ".jsonl", ".csv")
 _Point = tuple[float, float]
@@ -25,12 +27,16 @@ def read(path: Path) -> Iterator[Footprint]:
     """The polygons of a file, packed with gzip or not. Raises MapError."""
     name = path.name.removesuffix(".gz").lower()
     try:
-        with gzip.open(path, "rb") if path.suffix == ".gz" else path.open("rb") as file:
+        with BufferedReader(GzipFile(path)) if path.suffix == ".gz" else path.open("rb") as file:
             if name.endswith(_LINES):
                 yield from _lines(path, file)
+                _check_end(path, file.raw)
                 return
             data = file.read()
-    except (OSError, EOFError) as error:
+            _check_end(path, file.raw)
+    except MapError:
+        raise
+    except (OSError, ValueError) as error:
         raise MapError(f"{path}: cannot be read ({error})") from None
     try:
         document = json.loads(data)
@@ -41,6 +47,11 @@ def read(path: Path) -> Iterator[Footprint]:
             return
         raise MapError(f"{path}: is no JSON ({error})") from None
     yield from _document(path, document)
+
+
+def _check_end(path: Path, file: object) -> None:
+    if isinstance(file, GzipFile) and file.torn:
+        raise MapError(f"{path}: cannot be read (its end is missing)")
 
 
 def _lines(path: Path, lines: Iterable[bytes]) -> Iterator[Footprint]:
@@ -98,7 +109,7 @@ def _id(feature: dict[str, Any]) -> str:
 
 def _overpass(elements: list[Any]) -> Iterator[Footprint]:
     items = [e for e in elements if isinstance(e, dict)]
-    nodes = {e["id"]: (e["lon"], e["lat"]) for e in items if e.get("type") == "node" and "lon" in e and "lat" in e}
+    nodes = {e["id"]: (e["lon"], e["lat"]) for e in items if e.get("type") == "node" and {"id", "lon", "lat"} <= e.keys()}
     ways = {e["id"]: _way(e, nodes) for e in items if e.get("type") == "way" and "id" in e}
     parts = set()
     for e in items:
@@ -113,7 +124,7 @@ def _overpass(elements: list[Any]) -> Iterator[Footprint]:
     for e in items:
         tags = e.get("tags", {})
         if e.get("type") == "way" and isinstance(tags, dict) and "building" in tags and e.get("id") not in parts:
-            line = ways[e["id"]]
+            line = ways.get(e.get("id"), [])
             if len(line) > 3 and line[0] == line[-1]:
                 yield Footprint(np.array(line, float), tags, f"way/{e['id']}")
 
@@ -127,14 +138,25 @@ def _points(geometry: Iterable[Any]) -> list[_Point]:
 
 
 def _joined(lines: list[list[_Point]]) -> Iterator[Array]:
-    """Closed rings of ways that meet at their ends."""
-    while lines:
-        line = lines.pop()
+    """Closed rings of ways that meet at their ends; each way is taken up once, by a table of ends."""
+    ends: dict[_Point, list[int]] = defaultdict(list)
+    for k, line in enumerate(lines):
+        for end in {line[0], line[-1]}:
+            ends[end].append(k)
+    free = set(range(len(lines)))
+    for k, begin in enumerate(lines):
+        if k not in free:
+            continue
+        free.remove(k)
+        line = list(begin)
         while line[0] != line[-1]:
-            k = next((k for k, other in enumerate(lines) if line[-1] in (other[0], other[-1])), None)
-            if k is None:
+            at = ends[line[-1]]
+            while at and at[-1] not in free:
+                at.pop()
+            if not at:
                 break
-            other = lines.pop(k)
-            line = line + (other if other[0] == line[-1] else other[::-1])[1:]
+            free.remove(at[-1])
+            other = lines[at.pop()]
+            line += (other if other[0] == line[-1] else other[::-1])[1:]
         if len(line) > 3 and line[0] == line[-1]:
             yield np.array(line, float)

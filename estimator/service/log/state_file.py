@@ -5,7 +5,10 @@ the clock it was stamped with: within one boot the next daemon's clock carries t
 """
 
 import contextlib
+import os
+import stat
 import threading
+import time
 from pathlib import Path
 from typing import Final
 
@@ -18,6 +21,9 @@ from models.messages import Checkpoint, Estimate, Health, LastGnss, Mode, Output
 
 _PERIOD_S: Final = 0.5
 _FORMAT: Final = 1
+_MOST_BYTES: Final = 1_000_000
+_LAST_NS: Final = 2**31 * SECOND_NS  # 2038: the wire's seconds have 31 bits
+_AHEAD_NS: Final = 86_400 * SECOND_NS
 _BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
 
 
@@ -40,13 +46,43 @@ def boot_id() -> str:
         return ""
 
 
-def load(path: Path) -> SavedState | None:
-    """The state of the last daemon; None where there is none that can be read."""
+def load(path: Path, *, wall_ns: int | None = None, steady_ns: int | None = None) -> tuple[SavedState | None, str]:
+    """The state of the last daemon, or None and why it cannot be used; "" where there is no file."""
     try:
-        saved = msgspec.msgpack.decode(path.read_bytes(), type=SavedState)
-    except (OSError, msgspec.DecodeError):
-        return None
-    return saved if saved.format == _FORMAT else None
+        saved = msgspec.msgpack.decode(_content(path), type=SavedState)
+    except FileNotFoundError:
+        return None, ""
+    except OSError as error:
+        return None, (error.strerror or "cannot be read").lower()
+    except (ValueError, RecursionError):  # a DecodeError too
+        return None, "is no state file, or a damaged one"
+    if saved.format != _FORMAT:
+        return None, "is of another version"
+    wall_ns = time.time_ns() if wall_ns is None else wall_ns
+    why = _absurd(saved, wall_ns, time.monotonic_ns() if steady_ns is None else steady_ns)
+    return (None, why) if why else (saved, "")
+
+
+def _content(path: Path) -> bytes:
+    """Of a regular file of a state's size, no link followed. Raises OSError, ValueError."""
+    with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:  # noqa: PTH123
+        about = os.fstat(file.fileno())
+        if not stat.S_ISREG(about.st_mode) or about.st_size > _MOST_BYTES:
+            raise ValueError("no state")
+        return file.read(_MOST_BYTES)
+
+
+def _absurd(saved: SavedState, wall_ns: int, steady_ns: int) -> str:
+    """Why the clock of a state cannot have been one: outside this boot, or far ahead of the wall clock."""
+    same_boot = bool(saved.boot) and saved.boot == boot_id()
+    now_ns = saved.anchor_ns + steady_ns if same_boot else saved.t_ns
+    if not 0 <= saved.t_ns < _LAST_NS or not 0 <= now_ns < _LAST_NS:
+        return "its clock is outside 1970 to 2038"
+    if same_boot and not 0 <= saved.t_ns - saved.anchor_ns <= steady_ns:
+        return "its state is not of this boot's time"
+    if now_ns - wall_ns > _AHEAD_NS:
+        return "its clock is more than a day ahead of the wall clock"
+    return ""
 
 
 def clock_of(saved: SavedState | None) -> Clock:
@@ -106,8 +142,9 @@ class StateKeeper:
         try:
             data = encode_input(checkpoint_of(estimate, self._last_gnss)).data
             saved = SavedState(_FORMAT, self._boot, self._clock.anchor_ns, estimate.t_ns, self._config, data)
-            part.touch(FILE_MODE)
-            part.write_bytes(msgspec.msgpack.encode(saved))
+            part.unlink(missing_ok=True)  # of a daemon that was killed; a link in its place is not followed
+            with open(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, FILE_MODE), "wb") as file:  # noqa: PTH123
+                file.write(msgspec.msgpack.encode(saved))
             part.replace(self._path)
             self.problem = ""
         except Exception as error:  # whatever it is, the next state is tried again

@@ -29,6 +29,7 @@ from logs.wire.schemas import is_known
 _WAKE_S: Final = 0.025
 _FLUSH_S: Final = 0.05
 _RETRY_S: Final = 2.0
+_STALL_S: Final = 1.5  # seen in a status of every second, within 2 s or so
 _SPACE_EVERY_S: Final = 1.0
 _MB: Final = 1_000_000
 _OUTPUTS_LIMIT, _INPUTS_LIMIT = 32 * _MB, 256 * _MB  # bytes that wait for the disk
@@ -64,7 +65,8 @@ class LogState(NamedTuple):
     lost_inputs: int
     dropped_outputs: int
     dropped_images: int
-    removed_files: int  # deleted, moved or replaced by somebody while they were written
+    removed_files: int  # deleted, moved, replaced or shortened by somebody while they were written
+    stalls: int  # times that the thread stood still for more than 2 s
 
 
 class _Item(NamedTuple):
@@ -96,6 +98,8 @@ class LogWriter:
         self._state, self._problem = "recording", ""
         self._recorder: Recorder | None = None
         self._number = self._written = self._file_bytes = 0
+        self._taken = 0  # names that were there already
+        self._beat_s, self._stalls = time.monotonic(), 0
         self._opened_s = self._retry_s = self._space_s = self._sync_s = self._flush_s = 0.0
         self._syncing: threading.Thread | None = None
         self._stop = threading.Event()
@@ -141,8 +145,11 @@ class LogWriter:
         """How it is doing."""
         file = str(self._recorder.path) if self._recorder else ""
         state = f"{self._state}: {self._problem}" if self._problem else self._state
+        stalled_s = time.monotonic() - self._beat_s if self._thread.is_alive() else 0.0
+        if stalled_s > _STALL_S:
+            state = f"stalled: the disk has taken nothing for {stalled_s:.0f} s"
         drops = self._lost_inputs, self._dropped_outputs, self._dropped_images, self._removed_files
-        return LogState(state, file, self._written, self.waiting_bytes, *drops)
+        return LogState(state, file, self._written, self.waiting_bytes, *drops, self._stalls + (stalled_s > _STALL_S))
 
     def report(self) -> dict[str, Any]:
         """For the status."""
@@ -152,12 +159,22 @@ class LogWriter:
         """Write what waits and make the file whole."""
         self._stop.set()
         self._thread.join(timeout_s)
+        if self._thread.is_alive():  # what still waits will not be written
+            self._lost_inputs += len(self._queue)
+
+    def _beat(self) -> None:
+        """The thread goes on; a pause is counted."""
+        now_s = time.monotonic()
+        self._stalls += now_s - self._beat_s > _STALL_S
+        self._beat_s = now_s
 
     # --- the thread -----------------------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
         while not self._stop.wait(_WAKE_S):
+            self._beat()
             self._turn(time.monotonic())
+            self._beat()
         self._retry_s = 0.0  # what waits for a disk gets a last chance
         self._turn(time.monotonic())
         self._end_file()
@@ -172,12 +189,15 @@ class LogWriter:
                 if now_s - self._flush_s >= _FLUSH_S or self._stop.is_set():
                     self._flush(self._recorder, now_s)
                 self._look_after(self._recorder, now_s)
+        except FileExistsError as error:  # the next name at once
+            self._fail(str(error), now_s - _RETRY_S)
         except Exception as error:  # LogError, OSError of a folder that is gone; whatever it is, this thread goes on
             self._fail(str(error), now_s)
 
     def _drain(self, recorder: Recorder) -> None:
         for _ in range(len(self._queue)):
             item = self._queue.popleft()
+            self._beat()
             self._unflushed.append(item)
             self._taken_bytes += len(item.data)
             recorder.write(*item)
@@ -225,15 +245,19 @@ class LogWriter:
             self._begin_file(now_s)
 
     def _begin_file(self, now_s: float) -> None:
-        path = self._name(self._number)
+        path = self._name(self._number + self._taken)
         path.parent.mkdir(FOLDER_MODE, parents=True, exist_ok=True)
         self._thin_out(path.parent)
         if _free_mb(path.parent) < self._config.least_free_mb:
             self._pause(now_s)
             return
-        path.touch(FILE_MODE)
+        try:
+            recorder = Recorder(path, metadata=self._metadata | {"part": str(self._number)}, new_mode=FILE_MODE)
+        except FileExistsError:  # another's, or a link: it stays as it is
+            self._taken += 1
+            raise
         self.files.append(path)
-        self._recorder = Recorder(path, metadata=self._metadata | {"part": str(self._number)})
+        self._recorder = recorder
         for attachment in self._attachments:
             self._recorder.attach(attachment.name, attachment.media_type, attachment.data)
         self._number, self._file_bytes = self._number + 1, 0
@@ -253,6 +277,8 @@ class LogWriter:
 
     def _fail(self, problem: str, now_s: float) -> None:
         """What was torn off waits for the next file."""
+        removed = self._recorder is not None and (self._recorder.truncated or not self._recorder.is_in_place)
+        self._removed_files += removed
         self._end_file()
         self._queue.extendleft(reversed(self._unflushed))
         self._taken_bytes -= sum(len(item.data) for item in self._unflushed)

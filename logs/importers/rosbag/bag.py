@@ -2,26 +2,28 @@
 
     NAME.mcap, a folder of them        ROS 2; by logs.store, which reads torn files too
     NAME.db3, a folder of them         ROS 2; by rosbags
-    NAME.bag                           ROS 1; by rosbags, without an index record by record
+    NAME.bag, NAME.bag.active          ROS 1; by rosbags, without an index record by record
 
 The files of a folder are one recording, in the order of their names.
 """
 
 import re
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
 import apsw
 from rosbags import rosbag1, rosbag2
 from rosbags.interfaces import Connection
-from rosbags.serde import SerdeError
 
 from logs.importers.rosbag import unindexed
 from logs.store.reader import LogError, LogReader, Record
 from logs.wire.schemas import STORE, is_known
 
 _STORAGES: Final = (".mcap", ".db3", ".bag")
+_ACTIVE: Final = ".active"  # NAME.bag.active: of a recorder that was killed
+_COMPRESSED: Final = re.compile(r"^\s*compression_mode:\s*[\"']?(?:file|message)", re.MULTILINE | re.IGNORECASE)
 _FAILURES: Final = (rosbag1.ReaderError, rosbag2.ReaderError, apsw.Error, OSError, ValueError, KeyError)
 
 
@@ -38,7 +40,7 @@ class Bag:
 
     def __init__(self, source: Path) -> None:
         self.files = _files(source)
-        self.kind = self.files[0].suffix
+        self.kind = ".bag" if self.files[0].suffix == _ACTIVE else self.files[0].suffix
         self.topics: dict[str, Topic] = {}
         self.notes: list[str] = []
         self._done = 0  # files that are through
@@ -80,7 +82,10 @@ class Bag:
 
     def _sqlite(self, path: Path) -> Iterator[Record]:
         """A file of its own where there is no metadata.yaml, which a recorder that was killed does not write."""
-        with_metadata = path.with_name("metadata.yaml").exists()
+        metadata = path.with_name("metadata.yaml")
+        with_metadata = metadata.exists()
+        if with_metadata and _COMPRESSED.search(metadata.read_text(errors="replace")):
+            raise LogError(f"{path}: is compressed, as a whole or message by message; convert it first: ros2 bag convert")
         try:
             reader = rosbag2.Reader(path.parent if with_metadata and len(self.files) == 1 else path)
             reader.open()
@@ -114,6 +119,7 @@ class Bag:
             self._note(path, "has no index")
             return
         try:
+            _bound(reader, path)
             known = [c for c in reader.connections if self._add(c.topic, c.msgtype, readable=is_known(c.msgtype))]
             if known:
                 yield from self._converted(path, _of(reader, known))
@@ -131,12 +137,20 @@ class Bag:
                 continue
             try:
                 data = bytes(STORE.ros1_to_cdr(raw, schema))
-            except (SerdeError, ValueError, IndexError):
+            except Exception:  # whatever bytes from outside trip over
                 broken.add(topic)
                 self.topics[topic] = Topic(topic, schema, readable=False)
                 self.notes.append(f"{path.name}: {topic} is no {schema} as ROS 2 has it; left out")
                 continue
             yield Record(topic, schema, t_ns, data)
+
+
+def _bound(reader: rosbag1.Reader, path: Path) -> None:
+    """Let the reader unpack no more than is allowed."""
+    unpack = unindexed.Unpacker(path.stat().st_size)
+    kinds = {decompressor: kind for kind, decompressor in rosbag1.reader.decompressors.items()}
+    for at, chunk in reader.chunks.items():
+        reader.chunks[at] = chunk._replace(decompressor=partial(unpack, kinds[chunk.decompressor]))
 
 
 def _of(reader: rosbag1.Reader, known: list[Connection]) -> Iterator[tuple[str, str, int, bytes, float]]:
@@ -154,15 +168,16 @@ def _unreadable(path: Path, why: Exception) -> LogError:
 def _files(source: Path) -> list[Path]:
     """The files of one recording: the one that is named, or those of one storage in the folder."""
     if not source.is_dir():
-        if source.suffix not in _STORAGES:
+        if source.suffix not in (*_STORAGES, _ACTIVE):
             raise LogError(f"{source}: is no bag by its name; a bag is NAME.mcap, NAME.db3, NAME.bag or a folder of them")
         return [source]
     for suffix in _STORAGES:
         if found := sorted(source.glob(f"*{suffix}"), key=_natural):
             return found
-    if packed := [*source.glob("*.zstd"), *source.glob("*.active")]:
-        remedy = "unpack it: zstd -d" if packed[0].suffix == ".zstd" else "name it .bag: it was not closed"
-        raise LogError(f"{packed[0]}: {remedy}")
+    if found := sorted(source.glob(f"*.bag{_ACTIVE}"), key=_natural):
+        return found
+    if packed := [*source.glob("*.zstd")]:
+        raise LogError(f"{packed[0]}: unpack it: zstd -d")
     raise LogError(f"{source}: holds no bag (*.mcap, *.db3 or *.bag)")
 
 

@@ -14,15 +14,31 @@ from typing import BinaryIO, Final
 
 import lz4.frame
 
+from models.untrusted.limits import PIECE_BYTES, TooLargeError, allowed, check
+
 _MAGIC: Final = b"#ROSBAG V2.0\n"
 _MESSAGE, _CHUNK, _CONNECTION = 2, 5, 7
 _LENGTH: Final = struct.Struct("<I")
-_MOST: Final = 1 << 30  # bytes of a record or of a chunk's content
-_UNPACK: Final[Mapping[bytes, Callable[[bytes], bytes]]] = {
-    b"none": lambda data: data,
-    b"bz2": bz2.decompress,
-    b"lz4": lz4.frame.decompress,
+_UNPACK: Final[Mapping[str, Callable[[bytes, int], bytes]]] = {  # to so many bytes at most
+    "none": lambda data, _: data,
+    "bz2": lambda data, most: bz2.BZ2Decompressor().decompress(data, most),
+    "lz4": lambda data, most: bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, most)),
 }
+
+
+class Unpacker:
+    """Content of a bag's chunks, of all together no more than is allowed for its size."""
+
+    def __init__(self, size: int) -> None:
+        self._left = allowed(size)
+
+    def __call__(self, compression: str, data: bytes) -> bytes:
+        """Raises TooLargeError; KeyError for an unknown compression; the decompressor's exception where it is damaged."""
+        most = min(self._left, PIECE_BYTES)
+        content = _UNPACK[compression](data, most + 1)
+        check(len(content), len(data), most)
+        self._left -= len(content)
+        return content
 
 
 def messages(path: Path) -> Iterator[tuple[str, str, int, bytes, float]]:
@@ -35,10 +51,10 @@ def messages(path: Path) -> Iterator[tuple[str, str, int, bytes, float]]:
     with path.open("rb") as file:
         if file.read(len(_MAGIC)) != _MAGIC:
             raise ValueError("no ROS 1 bag of version 2.0")
-        whole = 0
+        whole, unpack = 0, Unpacker(size)
         for header, data in _records(file):
             whole += 1
-            parts = _of_chunk(header, data) if header.get(b"op") == bytes([_CHUNK]) else [(header, data)]
+            parts = _of_chunk(header, data, unpack) if header.get(b"op") == bytes([_CHUNK]) else [(header, data)]
             for inner, content in parts:
                 if inner.get(b"op") == bytes([_CONNECTION]):
                     about = _fields(content)
@@ -56,7 +72,7 @@ def _records(file: BinaryIO) -> Iterator[tuple[dict[bytes, bytes], bytes]]:
         blocks = []
         for _ in range(2):
             length = file.read(_LENGTH.size)
-            if len(length) < _LENGTH.size or (n := _LENGTH.unpack(length)[0]) > _MOST:
+            if len(length) < _LENGTH.size or (n := _LENGTH.unpack(length)[0]) > PIECE_BYTES:
                 return
             blocks.append(file.read(n))
         torn = len(blocks[1]) < n
@@ -70,19 +86,19 @@ def _records(file: BinaryIO) -> Iterator[tuple[dict[bytes, bytes], bytes]]:
             return
 
 
-def _of_chunk(header: dict[bytes, bytes], data: bytes) -> list[tuple[dict[bytes, bytes], bytes]]:
+def _of_chunk(header: dict[bytes, bytes], data: bytes, unpack: Unpacker) -> list[tuple[dict[bytes, bytes], bytes]]:
     """The records of a chunk; none where it cannot be unpacked."""
     try:
-        if _LENGTH.unpack(header[b"size"])[0] > _MOST:
-            return []
-        content = _UNPACK[header[b"compression"]](data)
-    except (KeyError, OSError, RuntimeError, ValueError, EOFError, struct.error):
+        content = unpack(header[b"compression"].decode(), data)
+    except TooLargeError:
+        raise
+    except (KeyError, OSError, RuntimeError, ValueError, EOFError):
         return []
     found, at = [], 0
     while at + _LENGTH.size <= len(content):
         blocks = []
         for _ in range(2):
-            (n,) = _LENGTH.unpack_from(content, at) if at + _LENGTH.size <= len(content) else (_MOST,)
+            (n,) = _LENGTH.unpack_from(content, at) if at + _LENGTH.size <= len(content) else (PIECE_BYTES,)
             blocks.append(content[at + _LENGTH.size : at + _LENGTH.size + n])
             at += _LENGTH.size + n
         if at > len(content):

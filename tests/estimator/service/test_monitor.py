@@ -48,6 +48,17 @@ def test_integrity_is_shown_with_its_limits_and_the_reason() -> None:
     assert "usable   HPL 3.2 of 10 m, VPL 4.0 m at 1e-05 per hour" in _text(view, 1.5)
 
 
+def test_what_peers_send_is_text_and_neither_markup_nor_control_characters() -> None:
+    view = View()
+    topic = "/gnss[bold]\x1b]0;mine\x07\x1b[2J"
+    for message in encode(AidStatus(T0, T0, topic, "gnss", Reason.GATED, detail="[red]\x1b[31m")):
+        view.hear("/landfix/aid_status", message.data, 1.0)
+    text = _text(view, 1.5)
+    assert "/gnss[bold]" in text
+    assert "\x1b" not in text
+    assert "\x07" not in text
+
+
 def test_the_rate_is_that_of_the_stamps_however_fast_they_are_read() -> None:
     view = View()
     for k in range(300):

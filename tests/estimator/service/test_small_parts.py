@@ -86,21 +86,23 @@ def _estimate(t_ns: int) -> Estimate:
 
 def test_the_last_state_is_found_again(tmp_path: Path) -> None:
     path, clock = tmp_path / "state", Clock()
+    t0 = clock.now_ns() - 1_000_000
     keeper = StateKeeper(path, clock, "config")
-    keeper.note(_estimate(T0))
+    keeper.note(_estimate(t0))
     until(path.exists, "it is written by itself")
-    keeper.note(Health(T0, T0, Mode.AIDED, 0.0, 1.0, 1.0, 4, {}, {}, 1, LastGnss(47.0, 8.0, 400.0, 3.0, 2.0)))
-    keeper.note(_estimate(T0 + 7))
-    keeper.note(msgspec.structs.replace(_estimate(T0 + 8), mode=Mode.ALIGNING_HEADING))  # nothing to go on from as if aligned
+    keeper.note(Health(t0, t0, Mode.AIDED, 0.0, 1.0, 1.0, 4, {}, {}, 1, LastGnss(47.0, 8.0, 400.0, 3.0, 2.0)))
+    keeper.note(_estimate(t0 + 7))
+    keeper.note(msgspec.structs.replace(_estimate(t0 + 8), mode=Mode.ALIGNING_HEADING))  # nothing to go on from as if aligned
     keeper.close()
-    saved = state_file.load(path)
+    saved, why = state_file.load(path)
+    assert why == ""
     assert saved is not None
-    assert (saved.t_ns, saved.config, saved.boot) == (T0 + 7, "config", state_file.boot_id())
+    assert (saved.t_ns, saved.config, saved.boot) == (t0 + 7, "config", state_file.boot_id())
     assert state_file.clock_of(saved).anchor_ns == clock.anchor_ns
-    read = Decoder().decode("/landfix/checkpoint", schemas.CHECKPOINT, saved.checkpoint, T0 + 9)
+    read = Decoder().decode("/landfix/checkpoint", schemas.CHECKPOINT, saved.checkpoint, t0 + 9)
     assert isinstance(read, Checkpoint)
     assert read.nav.tolist() == list(range(16))
-    assert (read.t_ns, read.reset_counter, read.origin) == (T0 + 7, 4, (47.0, 8.0, 400.0))
+    assert (read.t_ns, read.reset_counter, read.origin) == (t0 + 7, 4, (47.0, 8.0, 400.0))
     assert read.last_gnss is not None
 
 
@@ -133,8 +135,8 @@ def test_what_the_daemon_creates_is_not_for_everybody(tmp_path: Path, umask: int
 @pytest.mark.parametrize("content", [b"", b"\xff" * 100, msgspec.msgpack.encode({"format": 1}), b"\x93\x01\x02"])
 def test_a_state_that_is_damaged_is_none(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "state").write_bytes(content)
-    assert state_file.load(tmp_path / "state") is None
-    assert state_file.load(tmp_path / "none") is None
+    assert state_file.load(tmp_path / "state") == (None, "is no state file, or a damaged one")
+    assert state_file.load(tmp_path / "none") == (None, "")
 
 
 def test_only_a_young_state_of_this_configuration_is_gone_on_from() -> None:
@@ -156,17 +158,19 @@ def test_a_folder_that_cannot_be_written_is_no_reason_to_stop(tmp_path: Path) ->
 
 
 def test_a_defect_on_the_way_costs_one_state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    keeper = StateKeeper(tmp_path / "state", Clock(), "config")
+    clock = Clock()
+    t0 = clock.now_ns() - 1000
+    keeper = StateKeeper(tmp_path / "state", clock, "config")
     with monkeypatch.context() as broken:
         broken.setattr("estimator.service.log.state_file.checkpoint_of", lambda *_: 1 / 0)
-        keeper.note(_estimate(T0))
+        keeper.note(_estimate(t0))
         until(lambda: keeper.report() == {"file": "ZeroDivisionError: division by zero"}, "it is reported")
-    keeper.note(_estimate(T0 + 1))
+    keeper.note(_estimate(t0 + 1))
     until(lambda: keeper.report() == {"file": "kept"}, "the next one is kept")
     keeper.close()
-    saved = state_file.load(tmp_path / "state")
+    saved, _ = state_file.load(tmp_path / "state")
     assert saved is not None
-    assert saved.t_ns == T0 + 1
+    assert saved.t_ns == t0 + 1
 
 
 @pytest.mark.parametrize(

@@ -11,10 +11,12 @@ from mcap.records import Chunk
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from logs.store import chunks
-from logs.store.chunks import MOST_BYTES, TooLargeError, content_of
+from logs.store.chunks import content_of
 from logs.store.reader import LogError, LogReader
 from logs.store.records import RecordFile
 from logs.store.recover import recover
+from models.untrusted.limits import PIECE_BYTES as MOST_BYTES
+from models.untrusted.limits import TooLargeError
 from tests.logs.store.test_reader import read, record
 
 CONTENT = b"\0" * 3_000_000
@@ -71,8 +73,7 @@ def test_a_bomb_in_a_log_costs_itself_only(tmp_path: Path) -> None:
 
 
 def test_many_small_bombs_are_bounded_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("logs.store.records.SPARE_BYTES", 10_000_000)
-    monkeypatch.setattr("logs.store.records.MOST_RATIO", 10)
+    monkeypatch.setattr("logs.store.records.allowed", lambda start: 10_000_000 + 10 * start)
     contents: list[int] = []
     unpack = chunks.content_of
 
@@ -89,6 +90,27 @@ def test_many_small_bombs_are_bounded_together(tmp_path: Path, monkeypatch: pyte
     with LogReader(path) as reader, pytest.raises(LogError, match="declares 3 MiB"):
         list(reader)
     assert len(contents) == 3
+
+
+def test_many_records_in_a_small_chunk_are_refused_in_one_line(tmp_path: Path) -> None:
+    path, records = tmp_path / "dense.mcap", struct.pack("<BQ", 0x80, 0) * 2_000_000
+    body = struct.pack("<QQQII", 0, 0, len(records), 0, 4) + b"zstd"
+    packed = zstandard.compress(records)
+    body += struct.pack("<Q", len(packed)) + packed
+    path.write_bytes(MAGIC + struct.pack("<BQ", 6, len(body)) + body)
+    with LogReader(path) as reader, pytest.raises(LogError, match=r"dense.mcap: more than \d+ records are packed into \d+ bytes"):
+        list(reader)
+
+
+def test_content_that_turns_out_damaged_counts_too(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    torn = struct.pack("<BQ", 5, 2**40) + CONTENT  # the first record is longer than its chunk
+    path.write_bytes(MAGIC + 400 * _record("zstd", len(torn), zstandard.compress(torn)))
+    file = RecordFile(path)
+    with pytest.raises(LogError, match="declares 3 MiB"):
+        list(file)
+    assert file._decompressed < 256 * 2**20 + 1000 * file.size
+    file.close()
 
 
 def _work_of_a_chain(path: Path, links: int) -> tuple[int, int]:

@@ -79,7 +79,7 @@ def test_what_does_not_fit_is_said(encoding: str, height: int, width: int, step:
 
 def test_a_file_that_is_none_is_said() -> None:
     for data in (b"", b"not an image", _jpeg_file()[:40]):
-        with pytest.raises(ImageError, match="not an image file that can be read"):
+        with pytest.raises(ImageError, match="no image that can be read"):
             decode_image(schemas.COMPRESSED_IMAGE, _compressed(data))
 
 

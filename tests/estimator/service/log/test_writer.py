@@ -1,5 +1,6 @@
 """The log's own thread: nothing is lost, whatever the disk does."""
 
+import os
 import resource
 import shutil
 import threading
@@ -14,6 +15,7 @@ from estimator.service.base.ports import Arrival
 from estimator.service.log.recovery import recover_in_background, torn_logs
 from estimator.service.log.writer import LogConfig, LogWriter
 from logs.store.reader import Attachment, LogReader
+from logs.store.recorder import Recorder
 from logs.wire import schemas
 from logs.wire.codec import Encoded
 from tests.estimator.service.flying import records, until
@@ -219,6 +221,65 @@ def test_images_make_room_for_newer_ones_and_inputs_for_nothing(tmp_path: Path) 
     images = [_number(r.data) for r in records(blocked / "landfix-000.mcap", "/left/image")]
     assert images == list(range(75, 100))
     assert len(records(blocked / "landfix-000.mcap", "/imu")) == 100
+
+
+def test_a_name_that_is_there_already_is_left_alone(tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.write_bytes(b"somebody's")
+    (tmp_path / "landfix-000.mcap").symlink_to(elsewhere)
+    (tmp_path / "landfix-001.mcap").write_bytes(b"another's")
+    with _writer(tmp_path) as log:
+        log.put_input(_arrival(3))
+        until(lambda: log.state.state == "recording" and log.state.file, "it records under the next name")
+    assert elsewhere.read_bytes() == b"somebody's"
+    assert (tmp_path / "landfix-001.mcap").read_bytes() == b"another's"
+    assert [_number(r.data) for r in records(tmp_path / "landfix-002.mcap")] == [3]
+
+
+def test_a_file_that_another_program_shortens_is_noticed_and_followed_by_another(tmp_path: Path) -> None:
+    with _writer(tmp_path) as log:
+        log.put_input(_arrival(1))
+        until(lambda: _found(tmp_path) == 1, "the log begins")
+        os.truncate(tmp_path / "landfix-000.mcap", 20)
+        log.put_input(_arrival(2))
+        until(lambda: log.state.removed_files == 1, "it is noticed", seconds=5.0)
+        until(lambda: log.state.state == "recording", "the log goes on", seconds=5.0)
+    assert [_number(r.data) for r in records(tmp_path / "landfix-001.mcap")] == [2]
+
+
+def test_a_thread_that_stands_still_is_said_and_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    goes_on, flush = threading.Event(), Recorder.flush
+
+    def stuck(recorder: Recorder) -> None:
+        goes_on.wait()
+        flush(recorder)
+
+    with _writer(tmp_path) as log:
+        until(lambda: log.state.file, "the log begins")
+        monkeypatch.setattr(Recorder, "flush", stuck)
+        try:
+            log.put_input(_arrival(1))
+            until(lambda: log.state.state.startswith("stalled"), "it says so", seconds=2.5)
+            assert log.state.stalls == 1
+        finally:
+            goes_on.set()
+        until(lambda: log.state.state == "recording", "it goes on")
+        assert log.state.stalls == 1
+        assert log.state.lost_inputs == 0
+
+
+def test_what_a_stuck_thread_cannot_write_is_counted_at_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    goes_on = threading.Event()
+    with _writer(tmp_path) as log:
+        until(lambda: log.state.file, "the log begins")
+        monkeypatch.setattr(Recorder, "flush", lambda _: goes_on.wait())
+        log.put_input(_arrival(1))
+        time.sleep(0.3)
+        for k in range(5):
+            log.put_input(_arrival(k))
+        log.close(timeout_s=0.1)
+        assert log.state.lost_inputs == 5
+        goes_on.set()
 
 
 @pytest.mark.parametrize("cut", [1, 100])

@@ -1,0 +1,28 @@
+"""One boundary for what reads bytes from outside: whatever goes wrong behind it becomes one line, with file, place and reason."""
+
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from models.toml_text import one_line
+
+
+@contextmanager
+def refusing(error: type[Exception], name: object, *passed: type[Exception]) -> Iterator[None]:
+    """Raises `error`, one line that begins with name, for any exception but `error` itself and those to be passed.
+
+    The place is the function of ours in which it was raised: what the file's bytes were taken for there.
+    """
+    try:
+        yield
+    except (error, *passed):
+        raise
+    except MemoryError:
+        raise error(f"{name}: declares more content than fits into memory") from None
+    except (Exception, RecursionError) as failure:
+        frames = traceback.extract_tb(failure.__traceback__)[1:]
+        ours = [f for f in frames if "site-packages" not in f.filename and f.filename.endswith(".py")] or frames
+        place = f"{Path(ours[-1].filename).stem}.{ours[-1].name}" if ours else "?"
+        reason = one_line(f"{type(failure).__name__}: {failure}" if str(failure) else type(failure).__name__, 200)
+        raise error(f"{name}: damaged, or not as its format says ({place}: {reason})") from None

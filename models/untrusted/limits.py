@@ -1,0 +1,42 @@
+"""How much may come out of how little: one bound for all that is unpacked or decoded.
+
+    allowed(n) = SPARE_BYTES + ratio n          n: bytes of the file read so far
+    records(n) = SPARE_RECORDS + n
+
+A piece that is unpacked at once (a chunk, a message, an image) is bounded by PIECE_BYTES too, a text by TEXT_BYTES.
+"""
+
+from typing import Final
+
+SPARE_BYTES: Final = 256 * 2**20
+PIECE_BYTES: Final = 256 * 2**20  # writers of logs use chunks of 1 to 4 MiB, or one large message
+TEXT_BYTES: Final = 2 * 2**30
+BINARY_RATIO: Final = 1000  # black images reach it, over a whole log
+TEXT_RATIO: Final = 100  # CSV and GeoJSON: 5 to 20
+SPARE_RECORDS: Final = 100_000  # then one a byte: a message takes two bytes at least where its stamps are not all the same
+CAMERA_PIXELS: Final = 100_000_000  # of a camera's image; the largest cameras of survey have as many
+_MIB: Final = 2**20
+
+
+class TooLargeError(ValueError):
+    """More would come out than is allowed; one line."""
+
+
+def allowed(read_bytes: int, ratio: int = BINARY_RATIO) -> int:
+    """Bytes that may come out of so many."""
+    return SPARE_BYTES + ratio * read_bytes
+
+
+def check(declared: int, packed: int, most: int, what: str = "a chunk") -> None:
+    """Raises TooLargeError where a piece of `packed` bytes declares more content than `most`, or PIECE_BYTES."""
+    most = min(most, PIECE_BYTES)
+    if declared > most:
+        raise TooLargeError(
+            f"{what} of {packed} bytes declares {declared / _MIB:.0f} MiB of content, {max(most, 0) / _MIB:.0f} are read at most"
+        )
+
+
+def check_records(count: int, read_bytes: int) -> None:
+    """Raises TooLargeError where so many records are in so many bytes."""
+    if count > (most := SPARE_RECORDS + read_bytes):
+        raise TooLargeError(f"more than {most} records are packed into {read_bytes} bytes")
