@@ -94,7 +94,7 @@ class Fusion:
         self._next_health_ns: int | None = None
         self._future_ns = round(config.estimator.future_s * 1e9)
         self._out_of_sync: tuple[int, int, int] | None = None  # count, first arrival, last stamp of samples off our clock
-        self._gap_ns = round(config.coast.gap_s * 1e9)
+        self._early_ns = round(min(config.coast.gap_s, config.estimator.future_s) * 1e9)
         self._early: dict[str, ImuSample] = {}  # by topic: further ahead than a gap, until a second one is as well
         self._lead: tuple[int, int] | None = None  # stamps of IMU and ticks ahead of their arrivals, and as of when
         self._failures = 0  # in a row, of what moves the state
@@ -159,15 +159,15 @@ class Fusion:
     # --- inputs ---------------------------------------------------------------------------------------------------------
 
     def _imu(self, sample: ImuSample) -> list[Output]:
-        refusal = sample_refusal(sample) or self._future(sample)
+        ahead_ns = self._ahead_ns(sample)
+        refusal = sample_refusal(sample) or (self._future(sample) if ahead_ns > self._early_ns else None)
         if refusal is not None:
             return self._refuse_sample(sample, refusal)
-        early = self._early.pop(sample.topic, None)
-        if early is not None:
+        if self._early and (early := self._early.pop(sample.topic, None)) is not None:
             if sample.t_ns <= early.t_ns:  # the stamps go on where they were
                 return [self._refuse(early, Refusal(Reason.IN_FUTURE, "no other sample is as far ahead")), *self._imu(sample)]
             return [*self._take_sample(early), *self._take_sample(sample)]
-        if self._ahead_ns(sample) > self._gap_ns:
+        if ahead_ns > self._early_ns:
             self._early[sample.topic] = sample
             return []
         return self._take_sample(sample)

@@ -136,6 +136,10 @@ class History:
         coast: beyond the newest IMU sample, too, with a slice of the measurements that wait there. The tracker then stands at the
         last of them: where the IMU will split the time beyond it is not known yet. An IMU sample that was late takes it back.
         """
+        if self._is_one_sample_behind(to_ns):  # nearly every call
+            self._since_checkpoint += 1
+            self.tracker.propagate(self.samples, to_ns)
+            return self.tracker
         if self._redo_from_ns is not None and self._ahead is None:
             self._ahead, self._ahead_since_ns = self.tracker, self.tracker.t_ns
             self._restore()
@@ -152,6 +156,17 @@ class History:
             return self._ahead or self.tracker
         self._hand_over()
         return self._ahead or self.tracker
+
+    def _is_one_sample_behind(self, to_ns: int) -> bool:
+        """Whether all that is left to do is to go one IMU sample further."""
+        return (
+            self.tracker.t_ns == self.samples.previous_ns
+            and to_ns == self.samples.newest_ns
+            and self._next == len(self._orders)
+            and self._since_checkpoint < _CHECKPOINT_SAMPLES - 1
+            and self._redo_from_ns is None
+            and self._ahead is None
+        )
 
     def _coast(self, to_ns: int) -> bool:
         """A slice of the measurements up to `to_ns`; whether that is all of them."""
