@@ -96,6 +96,8 @@ class Fusion:
         self._next_health_ns: int | None = None
         self._future_ns = round(config.estimator.future_s * 1e9)
         self._out_of_sync: tuple[int, int, int] | None = None  # count, first arrival, last stamp of samples off our clock
+        self._early_ns = round(min(config.coast.gap_s, config.estimator.future_s) * 1e9)
+        self._early: dict[str, ImuSample] = {}  # by topic: further ahead than a gap, until a second one is as well
         self._lead: tuple[int, int] | None = None  # stamps of IMU and ticks ahead of their arrivals, and as of when
         self._failures = 0  # in a row, of what moves the state
         self._reset_counter = 0
@@ -159,21 +161,36 @@ class Fusion:
     # --- inputs ---------------------------------------------------------------------------------------------------------
 
     def _imu(self, sample: ImuSample) -> list[Output]:
-        refusal = sample_refusal(sample) or self._future(sample)
-        if refusal is None and self._imus.is_used:
+        ahead_ns = self._ahead_ns(sample)
+        refusal = sample_refusal(sample) or (self._future(sample) if ahead_ns > self._early_ns else None)
+        if refusal is not None:
+            return self._refuse_sample(sample, refusal)
+        if self._early and (early := self._early.pop(sample.topic, None)) is not None:
+            if sample.t_ns <= early.t_ns:  # the stamps go on where they were
+                return [self._refuse(early, Refusal(Reason.IN_FUTURE, "no other sample is as far ahead")), *self._imu(sample)]
+            return [*self._take_sample(early), *self._take_sample(sample)]
+        if ahead_ns > self._early_ns:
+            self._early[sample.topic] = sample
+            return []
+        return self._take_sample(sample)
+
+    def _take_sample(self, sample: ImuSample) -> list[Output]:
+        """One whose stamp is that of its stream's clock."""
+        if self._imus.is_used:
             changed = self._change_imu(sample)
             if not self._imus.leads(sample):
                 return []
             if changed:
                 return self._advance(sample)
-        elif refusal is None and (held := self._held.note(sample)):  # time goes on without it
+        elif held := self._held.note(sample):  # time goes on without it
             return [self._refuse(sample, Refusal(Reason.HELD, held)), *self._tick(Tick(sample.t_ns, sample.arrived_ns))]
-        if refusal is None and (reason := self._history.insert_sample(sample)) is not None:
-            refusal = Refusal(reason)
-        if refusal is not None:
-            return [self._refuse(sample, refusal), *self._clock_stepped(sample, refusal)]
+        if (reason := self._history.insert_sample(sample)) is not None:
+            return self._refuse_sample(sample, Refusal(reason))
         self._out_of_sync = None
         return self._advance(sample)
+
+    def _refuse_sample(self, sample: ImuSample, refusal: Refusal) -> list[Output]:
+        return [self._refuse(sample, refusal), *self._clock_stepped(sample, refusal)]
 
     def _change_imu(self, sample: ImuSample) -> bool:
         """Note the sample of one of several IMUs; whether another IMU leads because of it, which has then taken over."""
@@ -274,11 +291,15 @@ class Fusion:
 
     def _future(self, message: Input) -> Refusal | None:
         """A stamp that runs ahead of the stamps' clock, as estimated from arrivals, by more than future_s."""
-        if self._lead is None:
-            return None
-        lead_ns, noted_ns = self._lead
-        ahead_ns = message.t_ns - max(message.arrived_ns, noted_ns) - lead_ns
+        ahead_ns = self._ahead_ns(message)
         return Refusal(Reason.IN_FUTURE, f"{ahead_ns * 1e-9:.1f} s ahead") if ahead_ns > self._future_ns else None
+
+    def _ahead_ns(self, message: Input) -> int:
+        """By how much a stamp runs ahead of the stamps' clock; 0 where that is not known yet."""
+        if self._lead is None:
+            return 0
+        lead_ns, noted_ns = self._lead
+        return message.t_ns - max(message.arrived_ns, noted_ns) - lead_ns
 
     # --- outputs --------------------------------------------------------------------------------------------------------
 
@@ -350,6 +371,7 @@ class Fusion:
         if count < _OUT_OF_SYNC_SAMPLES or sample.arrived_ns - since_ns < _OUT_OF_SYNC_NS:
             return []
         self._out_of_sync = self._lead = self._next_health_ns = None
+        self._early.clear()
         self._imus.forget()
         return [self._restart(None, sample.t_ns, sample.arrived_ns, Reason.IN_FUTURE, "the clock of the IMU has stepped")]
 

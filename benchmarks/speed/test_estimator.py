@@ -79,7 +79,8 @@ def feed_and_work_in(fusion: Fusion, messages: list[Input]) -> None:
     """What came late all at once, as where the IMU is missing; in flight it is spread over the samples that follow."""
     feed(fusion, messages)
     history = fusion._history
-    history.advance(history.samples.newest_ns, coast=True)
+    while history.advance(history.samples.newest_ns, coast=True) is not history.tracker:  # a slice at a time
+        pass
 
 
 def measure(

@@ -10,6 +10,7 @@ from typing import Annotated, Literal, NamedTuple, TypeAlias
 import msgspec
 import numpy as np
 from msgspec import Meta
+from numba import njit
 
 from models import so3
 from models.messages import Array
@@ -60,22 +61,36 @@ class BoundsConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """
         limits = _LIMITS[self.vehicle]
         fastest = limits.speed_m_s if self.speed_m_s is None else self.speed_m_s
+        lowest = limits.lowest_m if self.lowest_m is None else self.lowest_m
+        highest = limits.highest_m if self.highest_m is None else self.highest_m
+        if _is_within(x, cov, fastest, origin_m - highest, origin_m - lowest, self.sigma_m):  # nearly every call
+            return ""
         state, variances = x.tolist(), cov.diagonal().tolist()
         speed = math.hypot(*state[X.V])
         if not speed <= fastest:
             return f"speed of {speed:.0f} m/s exceeds [bounds] speed_m_s = {fastest:g}"
-        lowest = limits.lowest_m if self.lowest_m is None else self.lowest_m
-        highest = limits.highest_m if self.highest_m is None else self.highest_m
         height = origin_m - state[X.P][2]
         if not lowest <= height <= highest:
             return f"height of {height:.0f} m is outside [bounds] lowest_m = {lowest:g} to highest_m = {highest:g}"
         variance = max(variances[E.P])
         if not variance <= self.sigma_m**2:
             return f"position sigma of {math.sqrt(variance):.3g} m exceeds [bounds] sigma_m = {self.sigma_m:g}"
-        if not max(variances[E.THETA]) <= _TILT_SIGMA**2:  # seldom; heading may be unknown, tilt is not
-            theta = cov[E.THETA, E.THETA]
-            down_b = so3.matrix(x[X.Q])[2]
-            tilt = 0.5 * float(np.trace(theta) - down_b @ theta @ down_b)
-            if not tilt <= _TILT_SIGMA**2:
-                return f"roll and pitch are known to {math.degrees(math.sqrt(tilt)):.0f} deg only"
+        theta, down_b = cov[E.THETA, E.THETA], so3.matrix(x[X.Q])[2]  # heading may be unknown, tilt is not
+        tilt = 0.5 * float(np.trace(theta) - down_b @ theta @ down_b)
+        if not tilt <= _TILT_SIGMA**2:
+            return f"roll and pitch are known to {math.degrees(math.sqrt(tilt)):.0f} deg only"
         return ""
+
+
+_XP, _XV, _P, _T, _G = X.P.start, X.V.start, E.P.start, E.THETA.start, E.BG.start  # compiled code reads plain integers
+
+
+@njit(cache=True, error_model="numpy")
+def _is_within(x: Array, cov: Array, fastest: float, least_down: float, most_down: float, sigma: float) -> bool:
+    """Whether nothing can be out of bounds: speed, down position and variances of position and of all of the attitude."""
+    good = math.sqrt(x[_XV] ** 2 + x[_XV + 1] ** 2 + x[_XV + 2] ** 2) <= fastest and least_down <= x[_XP + 2] <= most_down
+    for i in range(_P, _P + 3):
+        good = good and cov[i, i] <= sigma**2
+    for i in range(_T, _G):
+        good = good and cov[i, i] <= _TILT_SIGMA**2
+    return good

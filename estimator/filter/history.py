@@ -19,7 +19,7 @@ before it and passes it over from then on.
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 
-from estimator.filter.alignment import Decision
+from estimator.filter.alignment import NEVER, Decision
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.tracker import Tracker
 from estimator.sources.source import Aid
@@ -27,6 +27,7 @@ from models.messages import ImuSample, Reason
 
 _CHECKPOINT_SAMPLES = 32  # IMU samples between checkpoints: a copy costs about as much as ten samples
 _MEASUREMENT_NS = 2_500_000  # between two samples, of what came late, one for each so long: a slice fits into the time
+_TICK_MEASUREMENT_NS = 5_000_000  # between two ticks, one for each so long: samples that wait need the rest of the time
 _PACE = 2  # a slice covers this many times the interval between the newest two samples
 _LEVELLING_NS = 6_000_000_000  # IMU kept before the oldest checkpoint, or what it may go through again, for the alignment
 
@@ -62,6 +63,7 @@ class History:
         self._ahead: Tracker | None = None  # publishes while `tracker` works in what came late
         self._ahead_since_ns = 0
         self._due = False  # a slice of that work
+        self._coasted_ns = NEVER
         self._changed: list[Entry] = []
 
     def from_last_sound(self) -> "History | None":
@@ -131,9 +133,13 @@ class History:
     def advance(self, to_ns: int, *, coast: bool = False) -> Tracker:
         """The tracker at `to_ns`, to publish from: without what came late, until that is worked in.
 
-        coast: with every measurement up to `to_ns`, at once and beyond the newest IMU sample, for those that wait there. The
-        tracker then stands at the last of them: where the IMU will split the time beyond it is not known yet.
+        coast: beyond the newest IMU sample, too, with a slice of the measurements that wait there. The tracker then stands at the
+        last of them: where the IMU will split the time beyond it is not known yet. An IMU sample that was late takes it back.
         """
+        if self._is_one_sample_behind(to_ns):  # nearly every call
+            self._since_checkpoint += 1
+            self.tracker.propagate(self.samples, to_ns)
+            return self.tracker
         if self._redo_from_ns is not None and self._ahead is None:
             self._ahead, self._ahead_since_ns = self.tracker, self.tracker.t_ns
             self._restore()
@@ -144,9 +150,34 @@ class History:
                 return self._ahead
             if self._redo_from_ns is not None:
                 self._restore()
-        self._go_through(to_ns if coast else min(to_ns, self.samples.newest_ns))
+        if not coast:
+            self._go_through(min(to_ns, self.samples.newest_ns))
+        elif not self._coast(to_ns):
+            return self._ahead or self.tracker
         self._hand_over()
         return self._ahead or self.tracker
+
+    def _is_one_sample_behind(self, to_ns: int) -> bool:
+        """Whether all that is left to do is to go one IMU sample further."""
+        return (
+            self.tracker.t_ns == self.samples.previous_ns
+            and to_ns == self.samples.newest_ns
+            and self._next == len(self._orders)
+            and self._since_checkpoint < _CHECKPOINT_SAMPLES - 1
+            and self._redo_from_ns is None
+            and self._ahead is None
+        )
+
+    def _coast(self, to_ns: int) -> bool:
+        """A slice of the measurements up to `to_ns`; whether that is all of them."""
+        interval_ns = to_ns - max(self.samples.newest_ns, self._coasted_ns)
+        self._coasted_ns = to_ns
+        self._go_through(to_ns, self._slice(interval_ns, _TICK_MEASUREMENT_NS))
+        return not self._waiting(to_ns)
+
+    def _slice(self, interval_ns: int, measurement_ns: int) -> int:
+        """How many measurements may be worked in within an interval: as many as there is time for, and as keep pace."""
+        return max(1, interval_ns // measurement_ns, self._waiting(self.tracker.t_ns + _PACE * interval_ns))
 
     def catch_up(self) -> None:
         """Work in a slice of what came late, once behind every output of `advance`."""
@@ -154,9 +185,7 @@ class History:
             return
         self._due = False
         newest_ns = self.samples.newest_ns
-        interval_ns = newest_ns - self.samples.previous_ns
-        keeps_pace = self._waiting(self.tracker.t_ns + _PACE * interval_ns)
-        self._go_through(newest_ns, max(1, interval_ns // _MEASUREMENT_NS, keeps_pace))
+        self._go_through(newest_ns, self._slice(newest_ns - self.samples.previous_ns, _MEASUREMENT_NS))
         if self.tracker.t_ns >= newest_ns:
             self._hand_over()
 

@@ -61,7 +61,8 @@ class Collected:
 
     aids: the last decision on each measurement; truth: empty where there is none; reference: what it is instead where it is no
     ground truth (the autopilot's own estimate); unreadable: messages whose bytes make no sense;
-    origin: where map lies on Earth, as far as the log holds it; every: of so many estimates one was kept;
+    origin: where map lies on Earth, as far as the log holds it; every: of so many estimates one was kept,
+    of `estimates` in all;
     attachments, metadata, skipped_chunks: as the reader reports them.
     """
 
@@ -75,6 +76,7 @@ class Collected:
     unreadable: int
     origin: Origin | None
     every: int
+    estimates: int
     attachments: tuple[Attachment, ...]
     metadata: dict[str, dict[str, str]]
     skipped_chunks: int
@@ -98,21 +100,21 @@ class NoEstimateError(LogError):
 class _Sheaf:
     """Messages of one topic, as bytes, with their arrivals: all, or of the first, every 2nd, 4th, ... so that `most` suffice."""
 
-    __slots__ = ("_most", "_seen", "arrived_ns", "data", "every", "schema", "unreadable")
+    __slots__ = ("_most", "arrived_ns", "data", "every", "schema", "seen", "unreadable")
 
     def __init__(self, schema: str, most: int | None = None) -> None:
         self.schema = schema
         self.data: list[bytes] = []
         self.arrived_ns: list[int] = []
         self.unreadable = 0
-        self.every, self._seen, self._most = 1, 0, most
+        self.every, self.seen, self._most = 1, 0, most
 
     def add(self, data: bytes, arrived_ns: int) -> None:
         """The next message."""
-        if self._seen % self.every == 0:
+        if self.seen % self.every == 0:
             self.data.append(data)
             self.arrived_ns.append(arrived_ns)
-        self._seen += 1
+        self.seen += 1
         if self._most is not None and len(self.data) > self._most:
             self.every *= 2
             del self.data[1::2], self.arrived_ns[1::2]
@@ -183,6 +185,7 @@ def read(
         unreadable=sum(sheaf.unreadable for sheaf in sheaves.values()),
         origin=origin,
         every=sheaves[ODOMETRY_TOPIC].every,
+        estimates=len(estimate) if sheaves[ODOMETRY_TOPIC].every == 1 else sheaves[ODOMETRY_TOPIC].seen,
         attachments=attachments,
         metadata=metadata,
         skipped_chunks=skipped_chunks,

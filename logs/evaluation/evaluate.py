@@ -40,6 +40,7 @@ LONGEST_STEP_NS: Final = 250_000_000  # an estimate is not interpolated over a l
 ALL_SOURCES: Final = "all"
 _ODOMETRY: Final = "odometry"
 _SHORTEST_OUTAGE_S: Final = 2.0
+_MOST: Final = 100_000  # estimates, 8 minutes at 200 Hz: of more every 2nd, 4th, ... is compared, so memory does not grow
 _SAME_FIX_NS: Final = 10_000_000
 _NOT_GIVEN_M2: Final = 9e4
 _RELATIVE_S, _RELATIVE_M = (1.0, 10.0), (10.0, 100.0)
@@ -81,12 +82,13 @@ class Comparison:
         return np.asarray(np.isfinite(self.theta_error).all(axis=1))
 
 
-def compare(estimate: Trajectory, truth: Trajectory) -> Comparison:
+def compare(estimate: Trajectory, truth: Trajectory, every: int = 1) -> Comparison:
     """The estimate at the truth's stamps, and its errors there. Estimates whose position is not finite do not count; of those
-    without an attitude (a variance of 10 rad^2 or more) the position does.
+    without an attitude (a variance of 10 rad^2 or more) the position does. every: of so many estimates these are one.
     """
     estimate = estimate[np.asarray(np.isfinite(estimate.p).all(axis=1))]
-    at, covered = interpolate(estimate, truth.t_ns, LONGEST_STEP_NS)
+    step_ns = int(1.5 * np.median(np.diff(estimate.t_ns))) if every > 1 and len(estimate) > 1 else 0
+    at, covered = interpolate(estimate, truth.t_ns, max(LONGEST_STEP_NS, step_ns))
     inside = truth[covered]
     theta_error, attitude = np.full((len(inside), 3), np.nan), np.asarray(inside.has_attitude & at.has_attitude)
     if attitude.any():
@@ -189,8 +191,8 @@ def evaluate(
     flight, replayed without odometry.
     Raises LogError for a file that is no log, holds no estimate, or no truth on a topic that was asked for.
     """
-    collected = read(path, truth_topic, progress)
-    without = read(without_odometry, truth_topic).estimate if without_odometry else None
+    collected = read(path, truth_topic, progress, most=_MOST)
+    without = read(without_odometry, truth_topic, most=_MOST).estimate if without_odometry else None
     return assess(collected, str(path), burn_in_s, outage_s, without)
 
 
@@ -205,12 +207,12 @@ def assess(
     estimate, truth = collected.estimate, collected.truth
     outages = find_outages(collected.aids, collected.health, estimate, outage_s)
     start, end = int(estimate.t_ns[0]), int(estimate.t_ns[-1])
-    comparison = compare(estimate, truth)
+    comparison = compare(estimate, truth, collected.every)
     comparison = comparison[np.asarray(comparison.t_ns >= start + burn_in_s * 1e9)]
     aided = ~metrics.within(comparison.t_ns, _with_jumps(outages[ALL_SOURCES].spans, estimate))
     compared = len(comparison) > 0
     without_odometry = without_odometry if without_odometry is not None and len(without_odometry) else None
-    beside = compare(without_odometry, truth) if without_odometry is not None else None
+    beside = compare(without_odometry, truth, collected.every) if without_odometry is not None else None
     steps = np.array([a.t_ns for a in collected.aids if a.kind == _ODOMETRY and a.reason is Reason.FUSED], np.int64)
     path = truth.p if compared else estimate.p[np.isfinite(estimate.p).all(axis=1)]
     without = sum(b - a for a, b in outages[ALL_SOURCES].spans) * 1e-9
@@ -218,7 +220,7 @@ def assess(
         log=name,
         compared_with=f"reference ({collected.reference})" if collected.reference else "truth",
         duration_s=(end - start) * 1e-9,
-        estimates=len(estimate),
+        estimates=collected.estimates,
         distance_m=float(metrics.path_length(path)[-1]) if len(path) else 0.0,
         truth_samples=len(truth),
         compared=len(comparison),
@@ -399,6 +401,7 @@ def _notes(collected: Collected, c: Comparison) -> tuple[str, ...]:
     notes = {
         "the log is truncated: read to its last whole record": collected.torn,
         f"{collected.unreadable} messages could not be read": collected.unreadable > 0,
+        f"errors are computed from one of {collected.every} estimates": collected.every > 1,
         f"{broken} estimates are not finite": broken > 0,
         f"{level} estimates have no attitude that is known: of these the position counts": level > 0,
         f"{not_definite} position covariances are not positive definite: their NEES is infinite": not_definite > 0,

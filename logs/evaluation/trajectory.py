@@ -92,7 +92,8 @@ def from_rows(t_ns: Times, arrived_ns: Times, x: Array) -> Trajectory:
     t_ns, first = np.unique(t_ns, return_index=True)
     x, arrived_ns = x[first], arrived_ns[first]
     n, width = x.shape
-    full = np.hstack([np.where(np.abs(x) < _ABSURD, x, np.nan), np.full((n, 85 - width), np.nan)])
+    x[~(np.abs(x) < _ABSURD)] = np.nan
+    full = x if width == _DOUBLES[POSE_TYPES[0]] else np.hstack([x, np.full((n, _DOUBLES[POSE_TYPES[0]] - width), np.nan)])
     p, q_xyzw, covariance = full[:, 0:3], full[:, 3:7], full[:, 7:43].reshape(n, 6, 6)
     norm = np.linalg.norm(q_xyzw, axis=1)
     given = (np.abs(norm - 1.0) < 0.5) & ~(np.diagonal(covariance, axis1=1, axis2=2)[:, 3:] >= _NOT_GIVEN_RAD2).any(axis=1)

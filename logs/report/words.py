@@ -185,7 +185,11 @@ def _vision(gathered: Gathered) -> list[Finding]:
 
 
 def _log(e: Evaluation, collected: Collected, gathered: Gathered) -> list[Finding]:
-    notes = [note for note in e.notes if not note.startswith("no truth") and not note.endswith("has no attitude")]
+    notes = [
+        note
+        for note in e.notes
+        if not note.startswith(("no truth", "errors are computed")) and not note.endswith("has no attitude")
+    ]
     found = [Finding(Level.FINE if note.endswith("are no errors") else Level.WARNING, note) for note in notes]
     if collected.skipped_chunks:
         found.append(Finding(Level.WARNING, f"{collected.skipped_chunks} damaged places in the log were skipped"))

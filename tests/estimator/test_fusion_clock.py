@@ -4,6 +4,7 @@ import msgspec
 import pytest
 
 from estimator.fusion import Fusion, FusionConfig
+from logs.wire.codec import encode
 from models.messages import Input, Reason
 from models.sim.scenario import EPOCH_NS
 from tests.estimator.scenes import SECOND, Run, hover
@@ -62,3 +63,20 @@ def test_after_a_minute_without_imu_the_alignment_begins_again() -> None:
     assert not gap
     assert run.estimates[-1].t_ns == EPOCH_NS + 96 * SECOND
     assert abs(run.estimates[-1].nav[:3]).max() < 1.0
+
+
+def test_one_stamp_that_runs_ahead_by_less_than_future_s_silences_nothing() -> None:
+    messages = hover(8.0)
+    ahead = _restamped(messages[500], SECOND * 4 // 5)
+    run = Run(Fusion(FusionConfig())).feed([*messages[:500], ahead, *messages[501:]])
+    straight = Run(Fusion(FusionConfig())).feed([*messages[:500], *messages[501:]])
+    assert run.reasons("/imu") == {Reason.IN_FUTURE: 1}
+    assert [encode(e) for e in run.estimates] == [encode(e) for e in straight.estimates]
+
+
+def test_stamps_that_all_run_ahead_from_now_on_are_followed_with_the_second() -> None:
+    messages = hover(8.0)
+    by_ns = SECOND * 4 // 5
+    run = Run(Fusion(FusionConfig())).feed([*messages[:500], *(_restamped(m, by_ns) for m in messages[500:])])
+    assert not run.reasons("/imu")
+    assert run.estimates[-1].t_ns == EPOCH_NS + 8 * SECOND + by_ns

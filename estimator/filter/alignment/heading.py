@@ -17,6 +17,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from estimator.filter.alignment import initialise
 from estimator.filter.alignment.initialise import InitialiseConfig, Level
@@ -46,13 +47,26 @@ def covariance(bank: Hypotheses, config: InitialiseConfig) -> Array:
     cov = bank.covariance()
     down_b = so3.matrix(bank.lead.x[X.Q])[2]
     heading = float(down_b @ cov[E.THETA, E.THETA] @ down_b)
-    most = max(initialise.NO_HEADING**2 - heading, 0.0)
-    cov[E.THETA, E.THETA] += min(8.0 * heading, most) * np.outer(down_b, down_b)
-    cov[E.THETA, E.THETA] += math.atan(config.accel_bias_sigma / GRAVITY) ** 2 * np.eye(3)
-    cov[E.BG, E.BG] *= 4.0
-    cov[E.BA], cov[:, E.BA] = 0.0, 0.0
-    cov[E.BA, E.BA] = config.accel_bias_sigma**2 * np.eye(3)
+    more = min(8.0 * heading, max(initialise.NO_HEADING**2 - heading, 0.0))
+    _widen(cov, down_b, more, math.atan(config.accel_bias_sigma / GRAVITY) ** 2, config.accel_bias_sigma**2)
     return cov
+
+
+_T, _G, _A, _N = E.THETA.start, E.BG.start, E.BA.start, E.SIZE  # compiled code reads plain integers
+
+
+@njit(cache=True, error_model="numpy")
+def _widen(cov: Array, down_b: Array, heading: float, tilt: float, accel_bias: float) -> None:
+    """P (15, 15), in place: variances heading and tilt added, that of the gyro bias x 4, accel_bias in place of its own."""
+    for i in range(3):
+        for j in range(3):
+            cov[_T + i, _T + j] += heading * (down_b[i] * down_b[j])
+            cov[_G + i, _G + j] *= 4.0
+        cov[_T + i, _T + i] += tilt
+    for i in range(_A, _N):
+        for j in range(_N):
+            cov[i, j] = cov[j, i] = 0.0
+        cov[i, i] = accel_bias
 
 
 @dataclass(slots=True)

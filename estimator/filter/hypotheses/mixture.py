@@ -22,7 +22,7 @@ _HALF_TURN = 3.14  # rad
 def covariance(members: list[Hypothesis]) -> Array:
     """Of the leading state's error, (15, 15), over all that show; the first leads."""
     lead = members[0].filter
-    others = [m for m in members[1:] if m.shows_beside(members[0])]
+    others = [m for m in members[1:] if m.shows_beside(members[0])] if len(members) > 1 else ()
     if not others:  # most of the time
         cov, factor = lead.cov[_OF_STATE], lead.variance_factor
         return cov.copy() if factor == 1.0 else _scaled(cov, factor)
@@ -30,7 +30,7 @@ def covariance(members: list[Hypothesis]) -> Array:
     whole, root = first + sum(weights), math.sqrt(lead.variance_factor)
     total = first / whole * lead.cov[_OF_STATE]
     for weight, member in zip(weights, others, strict=True):
-        _mix(total, weight / whole, member.filter.cov, local(lead.x, member.filter.x) / root)
+        _mix(total, weight / whole, member.filter.cov, lead.x, member.filter.x, root)
     return _scaled(total, lead.variance_factor)
 
 
@@ -53,8 +53,11 @@ def _scaled(cov: Array, factor: float) -> Array:
 
 
 @njit(cache=True)
-def _mix(total: Array, weight: float, cov: Array, off: Array) -> None:
-    """Add weight (P + d d^T) of the 15 error states to total (15, 15), in place; cov: (n, n), off: d (15,)."""
+def _mix(total: Array, weight: float, cov: Array, lead: Array, x: Array, root: float) -> None:
+    """Add weight (P + d d^T / f) of the 15 error states to total (15, 15), in place; cov: (n, n), d = x (-) lead, root: f^1/2."""
+    off = local(lead, x)
+    for i in range(_N):
+        off[i] /= root
     for i in range(_N):
         for j in range(_N):
             total[i, j] += weight * (cov[i, j] + off[i] * off[j])

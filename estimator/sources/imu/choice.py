@@ -85,6 +85,7 @@ class Choice:
 
     def __init__(self, config: ImusConfig, topics: tuple[str, ...]) -> None:
         self._config, self._topics = config, topics
+        self._silent_ns, self._stuck_ns = round(config.silent_s * 1e9), round(config.stuck_s * 1e9)
         self.leader = topics[0] if topics else ""
         self.why = ""
         self._again_ns: dict[str, int] = {}
@@ -139,20 +140,20 @@ class Choice:
         return self._check(sample.t_ns, is_refuted=is_refuted)
 
     def _check(self, t_ns: int, *, is_refuted: bool) -> TakeOver | None:
-        lead, config = self._streams[self.leader], self._config
+        lead = self._streams[self.leader]
         others = [x for x in self._topics if x != self.leader and self._is_healthy(x, t_ns)]
         if not others or self._first_ns is None:
             return None
         heard_ns = max(lead.newest_ns, self._first_ns)
-        if t_ns - heard_ns > config.silent_s * 1e9:
+        if t_ns - heard_ns > self._silent_ns:
             return self._take_over(others[0], heard_ns, f"{self.leader} is silent", t_ns)
-        held = lead.held(round(config.stuck_s * 1e9))
-        if len(held) == _AXES:
-            return self._take_over(others[0], lead.held_since_ns(held), f"{self.leader} reads the same all the time: stuck", t_ns)
+        if lead.is_stuck(self._stuck_ns):
+            since_ns = lead.held_since_ns(range(_AXES))
+            return self._take_over(others[0], since_ns, f"{self.leader} reads the same all the time: stuck", t_ns)
         if (block := t_ns // BLOCK_NS) == self._checked_block:
             return None
         self._checked_block = block
-        share = _WHERE_REFUTED if is_refuted else 1.0
+        held, share = lead.held(self._stuck_ns), _WHERE_REFUTED if is_refuted else 1.0
         against = [x for x in others if self._contradict(self.leader, x, share)]
         if held and against:
             return self._take_over(
@@ -174,12 +175,11 @@ class Choice:
         return None
 
     def _is_healthy(self, topic: str, t_ns: int) -> bool:
-        stream = self._streams[topic]
-        is_held = len(stream.held(round(self._config.stuck_s * 1e9))) == _AXES
-        return self._is_heard(topic, t_ns) and not is_held and self._again_ns.get(topic, 0) <= t_ns
+        is_stuck = self._streams[topic].is_stuck(self._stuck_ns)
+        return self._is_heard(topic, t_ns) and not is_stuck and self._again_ns.get(topic, 0) <= t_ns
 
     def _is_heard(self, topic: str, t_ns: int) -> bool:
-        return t_ns - self._streams[topic].newest_ns <= self._config.silent_s * 1e9
+        return t_ns - self._streams[topic].newest_ns <= self._silent_ns
 
     def _contradict(self, one: str, other: str, share: float = 1.0) -> bool:
         """Whether the last blocks of two IMUs differ by more than they did before, and by that share of the threshold."""

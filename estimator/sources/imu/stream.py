@@ -33,9 +33,8 @@ class Stream:
         if not self._last:
             self.began_ns, self._last = sample.t_ns, u
             self._same_since_ns = [sample.t_ns] * 6
-        for axis, (before, now) in enumerate(zip(self._last, u, strict=True)):
-            if before != now:
-                self._same_since_ns[axis] = sample.t_ns
+        of_axes = zip(self._same_since_ns, self._last, u, strict=True)
+        self._same_since_ns = [since_ns if before == now else sample.t_ns for since_ns, before, now in of_axes]
         self._last, self.newest_ns = u, sample.t_ns
         self._samples.append(sample)
         while self._samples[0].t_ns < sample.t_ns - _KEPT_NS:
@@ -53,6 +52,10 @@ class Stream:
         """The axes that have read the same for stuck_ns, of the six."""
         return [axis for axis, since_ns in enumerate(self._same_since_ns) if self.newest_ns - since_ns >= stuck_ns]
 
+    def is_stuck(self, stuck_ns: int) -> bool:
+        """Whether all axes have read the same for stuck_ns."""
+        return self.newest_ns - max(self._same_since_ns) >= stuck_ns
+
     def held_since_ns(self, axes: Sequence[int]) -> int:
         """Since when the first of these axes reads the same."""
         return min(self._same_since_ns[axis] for axis in axes)
@@ -60,7 +63,10 @@ class Stream:
     def blocks(self, other: "Stream") -> tuple[list[int], Array]:
         """Numbers of the blocks that both have, in order, and the means of the other less those of this one, (k, 6)."""
         both = [b for b in self._means if b in other._means]
-        return both, np.array([other._means[b] - self._means[b] for b in both]).reshape(-1, 6)
+        if not both:
+            return both, np.empty((0, 6))
+        mine, theirs = (np.concatenate([stream._means[b] for b in both]).reshape(-1, 6) for stream in (self, other))
+        return both, theirs - mine
 
     def mean(self, block: int) -> tuple[Array, Array]:
         """The mean over a block, and its variance where what the samples scatter is noise, (6,) each."""

@@ -130,6 +130,35 @@ def test_ticks_between_late_samples_leave_no_trace(flight: Simulation, messages:
     assert _reasons(run) == _reasons(punctual)
 
 
+def test_the_work_of_a_tick_is_bounded_however_late_the_imu_is(
+    flight: Simulation, messages: list[Input], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A queue that is worked off too slowly: the IMU is 2 s late, and each tick finds all measurements since waiting."""
+    late = [arriving(m, 2.0) if isinstance(m, ImuSample) and m.t_ns > EPOCH_NS + 8 * SECOND else m for m in messages]
+    many = [
+        msgspec.structs.replace(m, t_ns=m.t_ns + k, arrived_ns=m.arrived_ns, topic=f"/{k}")
+        for m in late
+        if isinstance(m, PoseFix)
+        for k in range(20)
+    ]
+    ticks = [Tick(t, t) for t in range(EPOCH_NS + 8 * SECOND, EPOCH_NS + 12 * SECOND, SECOND // 20)]
+    process, calls = Tracker.process, [0]
+
+    def counted(tracker: Tracker, aid: Aid, samples: ImuBuffer) -> Decision:
+        calls[0] += 1
+        return process(tracker, aid, samples)
+
+    monkeypatch.setattr(Tracker, "process", counted)
+    fusion, most, estimates = Fusion(config_of(flight)), 0, 0
+    for message in by_arrival([*late, *many, *ticks]):
+        calls[0] = 0
+        said = fusion.handle(message)
+        if isinstance(message, Tick) and message.t_ns > EPOCH_NS + 9 * SECOND:
+            most, estimates = max(most, calls[0]), estimates + any(isinstance(out, Estimate) for out in said)
+    assert 1 <= most <= 60  # all that waits: 400
+    assert estimates > 50
+
+
 def test_without_a_given_origin_the_first_fix_by_validity_is_it() -> None:
     """And that, like the search for the heading that follows, does not depend on what arrived first."""
     wing = simulated('duration_s = 24.0\n[vehicle]\nkind = "fixed_wing"\n[imu]\nrate_hz = 100.0\n[gnss]\nrate_hz = 5.0\n', seed=1)

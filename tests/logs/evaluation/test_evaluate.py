@@ -401,3 +401,14 @@ def test_estimates_without_an_attitude_are_finite_and_their_positions_count(log:
     assert e.accuracy.attitude_deg.n == whole.accuracy.attitude_deg.n - np.count_nonzero(unknown)
     assert e.accuracy.velocity_m_s.n == e.accuracy.attitude_deg.n
     assert np.isfinite(e.accuracy.velocity_m_s.rmse)
+
+
+def test_a_long_log_is_thinned_and_judged_alike(log: Path, consistent: Evaluation, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 3001 estimates at 25 Hz every 16th is left: 0.64 s apart, no hole."""
+    monkeypatch.setattr("logs.evaluation.evaluate._MOST", 200)
+    thinned = evaluate(log)
+    assert (thinned.estimates, thinned.compared, thinned.without_estimate) == (3001, 188, 0)
+    assert thinned.notes == ("errors are computed from one of 16 estimates",)
+    assert thinned.accuracy is not None
+    assert consistent.accuracy is not None
+    assert thinned.accuracy.position_m.rmse == pytest.approx(consistent.accuracy.position_m.rmse, rel=0.2)
