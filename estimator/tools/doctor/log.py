@@ -11,6 +11,7 @@ from estimator.replay.summary import SummaryBuilder
 from estimator.sources.aids import aid_of
 from estimator.sources.source import Aid, Refusal
 from estimator.tools.doctor.machine import Check, judge
+from logs.findings import Stream, findings
 from logs.store.reader import LogError, LogReader
 from logs.store.recorder import METADATA_NAME
 from logs.wire.sensors import SENSORS
@@ -93,6 +94,7 @@ def log(path: Path, config: Config, progress: Callable[[float], None] | None = N
     )
     checks = [judge("log", found, warn=torn or skipped > 0, advice="landfix recover BROKEN.mcap -o WHOLE.mcap")]
     checks += _inputs(topics, config)
+    checks += _at_fault(topics, imu)
     for name, topic in sorted(topics.items()):
         if topic.stamps or topic.bad:
             checks += _stream(name, topic)
@@ -148,6 +150,22 @@ def _inputs(topics: dict[str, _Topic], config: Config) -> list[Check]:
     advice = "IMU alone drifts within seconds: name a GNSS or pose topic in [inputs]"
     checks.append(judge("absolute source", ", ".join(absolute) or "none", fail=not absolute, advice=advice))
     return checks
+
+
+def _at_fault(topics: dict[str, _Topic], imu: dict[str, list[tuple[float, ...]]]) -> list[Check]:
+    """The streams that cannot be navigated by, each with its cause."""
+    streams = {
+        name: Stream(
+            np.array(topic.stamps) * 1e-9,
+            np.array(topic.arrivals) * 1e-9,
+            np.array(imu.get(name, [])).reshape(len(topic.stamps), -1),
+        )
+        for name, topic in topics.items()
+        if topic.stamps
+    }
+    return [
+        judge(f"{f.who} at fault", f"since {f.since_s:.1f} s: {f.what}", fail=True, advice=f.advice) for f in findings(streams)
+    ]
 
 
 def _stream(name: str, topic: _Topic) -> list[Check]:
