@@ -17,11 +17,13 @@ class TuneError(ValueError):
 
 
 def command(
-    logs: Annotated[list[Path], typer.Argument(metavar="LOG.mcap...", help="Logs to tune on: sensors and absolute fixes.")],
+    logs: Annotated[
+        list[str], typer.Argument(metavar="LOG.mcap...", help="Logs to tune on, local or in a store: sensors and absolute fixes.")
+    ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="TUNED.toml", help="Configuration to write.")],
     config: ConfigFile = None,
     hold_out: Annotated[
-        list[Path] | None,
+        list[str] | None,
         typer.Option("--hold-out", metavar="LOG.mcap", help="Log for evaluation only, not for tuning; may be repeated."),
     ] = None,
     truth: Annotated[str, typer.Option(metavar="TOPIC", help="Poses to compare with; default: the held-out fixes.")] = "",
@@ -52,16 +54,17 @@ def command(
     """
     from estimator.config import load
     from estimator.tools.fleet.engine import executor
+    from estimator.tools.fleet.store import is_stored
     from estimator.tools.tune.keys import chosen, written
     from estimator.tools.tune.score import sources
     from estimator.tools.tune.search import TuneConfig, Tuner
     from logs.store.reader import check_output
 
     text = load(config).toml()
-    names, held_out = [str(log.resolve()) for log in logs], [str(log.resolve()) for log in hold_out or ()]
+    names, held_out = ([log if is_stored(log) else str(Path(log).resolve()) for log in some] for some in (logs, hold_out or ()))
     if again := set(names) & set(held_out):
         raise TuneError(f"{min(again)}: is tuned on, so it cannot be held out")
-    check_output(out, *logs, *hold_out or ())
+    check_output(out, *(Path(log) for log in (*names, *held_out) if not is_stored(log)))
     keys = chosen(sources(names[0], text), filter(None, vary.split(",")), gates, bool(truth))
     with executor(jobs, scheduler) as workers, progress(f"tune {len(keys)} keys") as report:
         tuner = Tuner(names, text, keys, TuneConfig(coarse, fine, outage_s, truth), workers, report)

@@ -59,17 +59,22 @@ class Results:
             self._write(_table(rows))
 
     def compact(self) -> None:
-        """The rows of all files in files of _ROWS_A_FILE, by log; of two with one key the first counts."""
-        files = self._files()
-        if len(files) < 2:
-            return
-        table = pa.concat_tables([self._read(file) for file in files]).sort_by([("log", "ascending"), ("key", "ascending")])
-        keys = table.column("key").to_pylist()
-        table = table.take([k for k in range(len(keys)) if k == 0 or keys[k] != keys[k - 1]])
-        written = {self._write(table.slice(at, _ROWS_A_FILE)) for at in range(0, len(table), _ROWS_A_FILE)}
+        """The rows of small files in files of _ROWS_A_FILE and fewer, by log; no more than those are in memory."""
+        group: list[tuple[str, pa.Table]] = []
+        for file in [*self._files(), ""]:
+            table = self._read(file) if file else None
+            if table is not None and len(table) >= _ROWS_A_FILE:
+                continue
+            if len(group) > 1 and (table is None or sum(len(t) for _, t in group) + len(table) > _ROWS_A_FILE):
+                name = self._write(_once(pa.concat_tables([t for _, t in group])))
+                self._remove(f for f, _ in group if PurePosixPath(f).name != name)
+                group = []
+            if table is not None:
+                group.append((file, table))
+
+    def _remove(self, files: Iterable[str]) -> None:
         for file in files:
-            if PurePosixPath(file).name not in written:
-                self._fs.rm_file(file)
+            self._fs.rm_file(file)
 
     def _write(self, table: pa.Table) -> str:
         """The file's name."""
@@ -129,7 +134,15 @@ def read(folder: str, labels: Iterable[str] = ()) -> pa.Table:
         tables += [table.append_column("label", pa.array([label] * len(table), pa.string())) for table in results.tables()]
     if not tables:
         raise FleetError(f"{folder}: holds no rows; make them first: landfix fleet run LOGS -o {folder}")
-    return pa.concat_tables(tables, promote_options="default").sort_by([("label", "ascending"), ("log", "ascending")])
+    return _once(pa.concat_tables(tables, promote_options="default"))
+
+
+def _once(table: pa.Table) -> pa.Table:
+    """The rows by label and log, each key once: what was interrupted while it was compacted has some twice."""
+    names = [name for name in ("label", "log", "key") if name in table.column_names]
+    table = table.sort_by([(name, "ascending") for name in names])
+    keys = list(zip(*(table.column(name).to_pylist() for name in names), strict=True))
+    return table.take([k for k in range(len(keys)) if k == 0 or keys[k] != keys[k - 1]])
 
 
 def _table(rows: Sequence[Row]) -> pa.Table:

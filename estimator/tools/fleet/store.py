@@ -7,7 +7,7 @@ needs the same.
 from collections.abc import Iterable, Sequence
 from glob import has_magic
 from hashlib import sha256
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
 import fsspec
@@ -50,6 +50,21 @@ def open_at(address: str) -> tuple[fsspec.AbstractFileSystem, str]:
     except (ImportError, ValueError) as error:
         raise FleetError(f"{address}: {' '.join(str(error).split())[:150]}") from None
     return fs, path
+
+
+def is_stored(address: str) -> bool:
+    """Whether an address leads into a store, and is no path of this machine."""
+    return "://" in address
+
+
+def local_path(address: str) -> Path:
+    """A file of this machine with the log: itself, or fsspec's copy, made once a process. Raises FleetError."""
+    if not is_stored(address):
+        return Path(address)
+    try:
+        return Path(fsspec.open_local(f"simplecache::{address}"))
+    except (OSError, ImportError, ValueError) as error:
+        raise FleetError(f"{address}: cannot be read ({' '.join(str(error).split())[:100]})") from None
 
 
 def _lines(source: str) -> Iterable[str]:
