@@ -115,7 +115,7 @@ def compare(
 
 
 def _by_log(rows: pa.Table, label: str) -> dict[str, Rows]:
-    """The last row of each log under a label."""
+    """The row of each log under a label."""
     return {row["log"]: row for row in rows.filter(pa.compute.field("label") == label).to_pylist()}
 
 

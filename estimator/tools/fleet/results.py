@@ -45,9 +45,10 @@ class Results:
         except OSError as error:
             raise FleetError(f"{folder}: cannot be written ({error.strerror or error})") from None
 
-    def keys(self) -> set[str]:
-        """The flights that have a row."""
-        return {key for file in self._files() for key in self._read(file, ["key"]).column("key").to_pylist()}
+    def keys(self) -> dict[str, str]:
+        """The key of each log that has a row."""
+        tables = (self._read(file, ["log", "key"]) for file in self._files())
+        return {row["log"]: row["key"] for table in tables for row in table.to_pylist()}
 
     def tables(self) -> Iterator[pa.Table]:
         """The rows, a table a file."""

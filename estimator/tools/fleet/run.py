@@ -69,7 +69,12 @@ def run(
     if settings.configuration is not None:
         keep_configuration(folder, settings.configuration)
     known = kept.keys()
-    left = [flight for flight in flights if key_of(flight, settings) not in known]
+    if other := [f.log for f in flights if f.log in known and known[f.log] != key_of(f, settings)]:
+        raise FleetError(
+            f"{other[0]}: has a row of other inputs, another configuration or another program under {settings.label}; "
+            "take another --label"
+        )
+    left = [flight for flight in flights if flight.log not in known]
     counts, fresh = _Counts(settings.label, len(flights), len(flights) - len(left)), list[Row]()
     written_s = time.monotonic()
     try:

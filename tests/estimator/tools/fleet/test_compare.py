@@ -114,7 +114,7 @@ def test_many_small_files_become_one_without_a_row_lost_or_doubled(tmp_path: Pat
     found = read(str(tmp_path), ["run / 1"]).to_pylist()
     assert [r["log"][-8:-5] for r in found] == [f"{k:03}" for k in (*range(FLIGHTS), 41)]
     assert found[5]["refused"] == [("gated", 5)]
-    assert results.keys() == {r["key"] for r in found}
+    assert results.keys() == {r["log"]: r["key"] for r in found}
 
 
 def test_results_that_are_not_there_are_said_in_one_line(tmp_path: Path) -> None:

@@ -1,7 +1,6 @@
 """A run over a store: rows equal those of the commands, whatever fails on the way, and none is computed twice."""
 
 import os
-import shutil
 import signal
 import threading
 import time
@@ -53,15 +52,15 @@ def test_a_row_is_what_replay_and_evaluate_say(fleet: Path, before: Path, tmp_pa
     assert row["read_bytes"] <= row["stored_bytes"]
 
 
-def test_what_has_a_row_is_not_computed_again(fleet: Path, before: Path, client: Client, tmp_path: Path) -> None:
+def test_what_has_a_row_is_not_computed_again(fleet: Path, before: Path, client: Client) -> None:
     names = sorted(p.name for p in before.rglob("*.parquet"))
     settings = settings_of("before", fleet / "vehicle.toml", "/truth")
     summary = run(flights([f"{fleet}/*.mcap"]), settings, str(before), client)
     assert (summary.known, summary.done) == (FLIGHTS, 0)
     assert sorted(p.name for p in before.rglob("*.parquet")) == names
-    shutil.copytree(before, tmp_path / "copy")
-    other = msgspec.structs.replace(settings, truth="/pose_fix")  # another question is computed
-    assert run(flights([f"{fleet}/0.mcap"]), other, str(tmp_path / "copy"), client).done == 1
+    other = msgspec.structs.replace(settings, truth="/pose_fix")
+    with pytest.raises(FleetError, match=r"0.mcap: has a row of other inputs, .* under before; take another --label"):
+        run(flights([f"{fleet}/0.mcap"]), other, str(before), client)
 
 
 def test_a_store_that_fails_and_a_worker_that_is_killed_change_no_row(fleet: Path, before: Path) -> None:
