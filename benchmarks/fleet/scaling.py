@@ -7,9 +7,13 @@ import argparse
 import json
 import resource
 import time
+from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+
+import msgspec
+import numpy as np
 
 from benchmarks.flights.tasks import ROOT
 from estimator.tools.fleet.engine import cluster, results
@@ -36,11 +40,14 @@ def main() -> None:
 
 
 def row(k: int) -> Row:
-    """A row as large as a real one."""
+    """A row as large as a real one: digests, and numbers with all their digits."""
+    drawn = iter(np.random.default_rng(k).random(64).tolist())
+    measured = {f.name: next(drawn) for f in msgspec.structs.fields(Row) if f.type in {float, float | None}}
+    digest = sha256(str(k).encode()).hexdigest()
     return Row(
-        key=f"{k:032}", label="run", log=f"s3://flights/2026/{k:09}.mcap", parts=1, stored_bytes=k, inputs_sha256=f"{k:064}",
-        configuration_sha256="c" * 64, rmse_m=0.1 + 1e-9 * k, nis={"/gnss gnss_position": 1.0 / (k + 1), "/pose_fix pose": 0.9},
-        refused={"gated": k % 7}, modes={"aided": 1.0},
+        key=digest[:32], label="run", log=f"s3://flights/2026/{k:09}.mcap", parts=1, stored_bytes=k, inputs_sha256=digest,
+        configuration_sha256="c" * 64, nis={"/gnss gnss_position": next(drawn), "/pose_fix pose": next(drawn)},
+        refused={"gated": k % 7}, modes={"aided": next(drawn)}, **measured,
     )  # fmt: skip
 
 

@@ -85,14 +85,21 @@ def fly(flight: Flight, settings: Settings) -> Row:
     with TemporaryDirectory(prefix="landfix-") as scratch:
         try:
             row |= _result(flight, settings, Path(scratch), row)
-        except (LogError, ConfigError, ValueError) as error:
-            row["error"] = " ".join(str(error).replace(scratch, PurePosixPath(flight.log).parent.as_posix()).split())
+        except (OSError, MemoryError):  # of the store or this machine: elsewhere, or later, it may go well
+            raise
+        except Exception as error:  # of this log and this program: it would come again
+            row["error"] = _one_line(error).replace(scratch, flight.log.rpartition("/")[0])
     return Row(
         **row,
         cpu_s=time.process_time() - cpu_s,
         wall_s=time.monotonic() - wall_s,
         memory_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
     )
+
+
+def _one_line(error: Exception) -> str:
+    text = " ".join(str(error).split())
+    return text if isinstance(error, LogError | ConfigError) else f"internal error: {type(error).__name__}: {text}"
 
 
 def _result(flight: Flight, settings: Settings, scratch: Path, row: dict[str, Any]) -> dict[str, Any]:
