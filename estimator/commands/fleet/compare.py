@@ -55,7 +55,7 @@ def command(
     if reports and out is None:
         raise typer.BadParameter("--reports needs -o PAGE.html")
     pair, equal = _pair(labels, "--labels"), _pair(noise, "--noise") if noise else None
-    rows = with_columns(read(results, {*pair, *(equal or ())}), join)
+    rows = with_columns(read(results, dict.fromkeys((*pair, *(equal or ())))), join)
     found = compare(rows, pair, equal, by, fail_if or (), least)
     if out is not None:
         with progress("reports") as report:

@@ -18,12 +18,12 @@ def landfix(*arguments: object) -> Result:
 
 @pytest.fixture(scope="module")
 def results(fleet: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Label before, and label after with pose fixes that count for ten times less than they are worth."""
+    """Label before, and label after with the antenna 5 m from where it is."""
     folder = tmp_path_factory.mktemp("results")
     changed = fleet / "changed.toml"
     text = (fleet / "vehicle.toml").read_text()
-    (line,) = [line for line in text.splitlines() if line.startswith("gyro_noise = ")]
-    changed.write_text(text.replace(line, f"gyro_noise = {300.0 * float(line.partition('=')[2])!r}"))
+    assert "antenna_b_m = [0.0, 0.0, 0.0]" in text
+    changed.write_text(text.replace("antenna_b_m = [0.0, 0.0, 0.0]", "antenna_b_m = [5.0, 0.0, 0.0]"))
     for label, config in (("before", fleet / "vehicle.toml"), ("after", changed)):
         done = landfix("run", f"{fleet}/[0-2].mcap", "-c", config, "-o", folder, "--label", label, "--jobs", 1)
         assert done.exit_code == 0, done.output
@@ -31,12 +31,12 @@ def results(fleet: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_change_of_one_noise_is_found_and_breaks_the_budget(results: Path, tmp_path: Path) -> None:
+def test_a_wrong_antenna_is_found_and_breaks_the_budget(results: Path, tmp_path: Path) -> None:
     page = tmp_path / "page.html"
-    budget = ("--fail-if", "nees_position worse 1 % on 50 %")
+    budget = ("--fail-if", "max_m worse 10 % on 50 %")
     done = landfix("compare", results, "--labels", "before,after", "-o", page, "--reports", 1, *budget)
     assert done.exit_code == 1
-    assert "landfix: budget broken: nees_position worse 1 % on 50 %: 100.00 % of the flights" in done.stderr
+    assert "landfix: budget broken: max_m worse 10 % on 50 %: 100.00 % of the flights" in done.stderr
     assert (tmp_path / "page-reports/1-after.html").stat().st_size > 10_000
     assert '<a href="page-reports/1-after.html">after</a>' in page.read_text()
     assert landfix("compare", results, "--labels", "before,before", *budget).exit_code == 0
