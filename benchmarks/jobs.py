@@ -1,8 +1,8 @@
-"""Long work in small jobs over processes: with progress, each result kept as it comes, and taken up again where it was ended."""
+"""Long work in small jobs on the fleet's engine: with progress, each result kept as it comes, and never done again."""
 
-import multiprocessing
+import sys
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor
+from importlib import import_module
 from pathlib import Path
 from typing import TypeVar
 
@@ -10,6 +10,9 @@ import cv2
 import msgspec
 from rich.console import Console
 from rich.progress import track
+
+from estimator.tools.fleet.engine import cluster
+from estimator.tools.fleet.engine import results as results_of
 
 Job = TypeVar("Job", bound=tuple[object, ...])
 Result = TypeVar("Result")
@@ -23,26 +26,46 @@ def run_jobs(
     *,
     processes: int = 1,
     resume: bool = False,
-    executor: Executor | None = None,
+    scheduler: str = "",
 ) -> list[Result]:
     """The jobs' results in their order. kept: file of one line a job; with resume those that stand there are not done again.
 
-    work: a function of a module; kind: what it returns, for msgspec; executor: does the work in place of processes here.
+    work: a function of a module; kind: what it returns, for msgspec; scheduler: of workers in place of processes here. Raises
+    what a job raised.
     """
+    decoder = msgspec.json.Decoder(tuple[str, kind])  # type: ignore[valid-type]
     results = dict(results_in(kept, kind)) if resume else {}
     left = [job for job in jobs if _name(job) not in results]
     kept.parent.mkdir(parents=True, exist_ok=True)
-    context = multiprocessing.get_context("spawn")
-    with kept.open("w") as file, context.Pool(processes, cv2.setNumThreads, (1,)) as pool:
+    with kept.open("w") as file, cluster(processes, scheduler) as client:
         for name, result in results.items():  # anew: the last line may have been cut off
             file.write(_line(name, result))
         file.flush()  # nothing is lost when the process is killed before its first job is done
-        done = pool.imap(work, left) if executor is None else executor.map(work, left)
-        for job, result in track(zip(left, done, strict=True), "jobs", len(left), console=Console(stderr=True)):
-            results[_name(job)] = result
-            file.write(_line(_name(job), result))
+        done = results_of(client, _alone, left, _importable(work))
+        for job, outcome in track(done, "jobs", len(left), console=Console(stderr=True)):
+            if isinstance(outcome, Exception):
+                raise outcome
+            line = _line(_name(job), outcome)
+            results[_name(job)] = decoder.decode(line)[1]
+            file.write(line)
             file.flush()
     return [results[_name(job)] for job in jobs]
+
+
+def _alone(job: Job, work: Callable[[Job], Result]) -> Result:
+    """A job on a worker, of which there is one a core."""
+    cv2.setNumThreads(1)
+    return work(job)
+
+
+def _importable(work: Callable[[Job], Result]) -> Callable[[Job], Result]:
+    """The function under the name by which a worker imports it, also where its module was started with python -m."""
+    if work.__module__ != "__main__":
+        return work
+    spec = sys.modules["__main__"].__spec__
+    assert spec is not None, "start benchmarks with python -m"
+    found: Callable[[Job], Result] = getattr(import_module(spec.name), work.__name__)
+    return found
 
 
 def _name(job: tuple[object, ...]) -> str:

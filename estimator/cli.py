@@ -25,6 +25,7 @@ from estimator.commands import (
 )
 from estimator.commands import import_ as import_command
 from estimator.commands.calibrate import app as calibrate
+from estimator.commands.fleet import app as fleet
 from estimator.commands.map import app as map_command
 from estimator.commands.vision import bench, locate, measure, overlay
 from estimator.version import version
@@ -105,6 +106,7 @@ app.command("export")(export.command)
 app.command("overlay")(overlay.command)
 app.command("live", short_help="Show a running daemon, or play a log, in Foxglove.")(live.command)
 app.command("tune")(tune.command)
+app.add_typer(fleet.app, name="fleet", short_help="Replay and evaluate many logs, compare two runs.")
 app.command("simulate")(simulate.command)
 app.command("import")(import_command.command)
 app.add_typer(map_command.app, name="map")

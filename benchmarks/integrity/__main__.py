@@ -12,9 +12,6 @@ also by Ctrl-C, its counts are added to docs/integrity_runs.csv. Frames and pair
 
 import argparse
 import os
-from collections.abc import Iterator
-from concurrent.futures import Executor
-from contextlib import contextmanager
 from pathlib import Path
 
 from benchmarks.flights.tasks import ROOT, SETS, data_folder, flights
@@ -42,8 +39,7 @@ def main() -> None:
     work = not_yet((job for job in work if job[0] in args.groups), args.record)
     kept = args.out / "rows.jsonl"
     try:
-        with cluster(args.scheduler) as executor:
-            rows = run_jobs(work, run, Row, kept, processes=args.jobs, resume=True, executor=executor)
+        rows = run_jobs(work, run, Row, kept, processes=args.jobs, resume=True, scheduler=args.scheduler)
     finally:  # also of a run that is ended with Ctrl-C
         known = added([row for _, row in results_in(kept, Row)], args.record)
     found = "\n".join(t.markdown() for t in (groups_table(rows), table(rows)))
@@ -78,24 +74,6 @@ def jobs(tasks: Path, *, quick: bool, seeds: int, looks: int, images: int) -> li
     batches = images // (_PAIRS * len(LAYOUTS))
     work += [("images", world, "prior 10 m", float(_PAIRS), seed, folder) for seed in range(batches) for world in LAYOUTS]
     return work
-
-
-@contextmanager
-def cluster(scheduler: str) -> Iterator[Executor | None]:
-    """The workers of a dask.distributed scheduler, where one is given."""
-    if not scheduler:
-        yield None
-        return
-    try:
-        from distributed import Client  # noqa: PLC0415  (an extra)
-    except ImportError:
-        raise SystemExit("--scheduler needs dask.distributed: pip install 'landfix[cluster]'") from None
-    try:
-        client = Client(scheduler, timeout="10s")
-    except (OSError, ValueError) as error:
-        raise SystemExit(f"{scheduler}: no scheduler answers ({' '.join(str(error).split())[:100]})") from None
-    with client:
-        yield client.get_executor()
 
 
 def arguments() -> argparse.Namespace:

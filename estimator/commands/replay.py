@@ -10,7 +10,6 @@ from estimator.commands.common.console import ConfigFile, Json, Out, kept_on_int
 
 if TYPE_CHECKING:
     from estimator.config import Config
-    from estimator.frontend.repeat import Together
     from estimator.replay.summary import ReplaySummary
     from logs.store.reader import Attachment
 
@@ -50,12 +49,13 @@ def command(
     """
     with kept_on_interrupt(lambda: [out]), progress(f"replay {source[0].name}") as report:  # it moves while libraries are loaded
         from estimator.config import load
+        from estimator.replay.from_images import seen_again
         from estimator.replay.replay import replay
         from logs.store.parts import files_of
 
         loaded, folder = load(config), config.parent if config else Path()
         parts = [file for given in source for file in files_of(given)]
-        processor = _sees_again(loaded, folder, parts) if from_images else None
+        processor = seen_again(loaded, folder, parts) if from_images else None
         summary = replay(parts, out, loaded, report, processor, _attachments(loaded, folder), odometry=not without_odometry)
     if smooth and not summary.advice:
         _add_smoothed(out, loaded)
@@ -88,31 +88,6 @@ def _attachments(config: "Config", folder: Path) -> "list[Attachment]":
         except ConfigError as error:
             note(f"landfix: {error}; the output keeps the log's {kind}, if that has one")
     return found
-
-
-def _sees_again(config: "Config", folder: Path, source: "list[Path]") -> "Together":
-    """What processes the images of the log again: landmarks, odometry or both. Raises ConfigError."""
-    from estimator.config import ConfigError
-    from estimator.frontend.files import load_odometry, load_processor
-    from estimator.frontend.repeat import Repeat, Together
-    from estimator.frontend.replay_images import ImageReplay
-    from estimator.frontend.replay_odometry import OdometryReplay
-
-    rig, landmarks, image = config.rig.file, config.map.landmarks, config.map_image(folder)
-    mapped, odometry = bool(landmarks or image), config.visual_odometry
-    if rig is None or not (mapped or odometry.enabled):
-        raise ConfigError(
-            "--from-images needs the cameras and a map or odometry: give -c FILE with [rig] file, and [map] landmarks, "
-            "[map] picture or [visual_odometry] enabled"
-        )
-    left, right = config.inputs.left_image, config.inputs.right_image
-    parts: list[Repeat] = []
-    if mapped:
-        processor = load_processor(folder / rig, folder / landmarks if landmarks else None, config.map.origin, image)
-        parts.append(ImageReplay(processor, config.vision, left, right, source))
-    if odometry.enabled:
-        parts.append(OdometryReplay(load_odometry(folder / rig), odometry, config.vision, (left, right), source))
-    return Together(parts)
 
 
 def _add_smoothed(log: Path, config: "Config") -> None:

@@ -1,15 +1,12 @@
 """landfix tune."""
 # ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
 
-from collections.abc import Iterator
-from concurrent.futures import Executor
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from estimator.commands.common.console import ConfigFile, Json, note, print_json, print_table, progress
+from estimator.commands.common.console import ConfigFile, Jobs, Json, Scheduler, note, print_json, print_table, progress
 
 if TYPE_CHECKING:
     from estimator.tools.tune.search import Gain, Summary, TunedKey, TuneResult
@@ -20,11 +17,13 @@ class TuneError(ValueError):
 
 
 def command(
-    logs: Annotated[list[Path], typer.Argument(metavar="LOG.mcap...", help="Logs to tune on: sensors and absolute fixes.")],
+    logs: Annotated[
+        list[str], typer.Argument(metavar="LOG.mcap...", help="Logs to tune on, local or in a store: sensors and absolute fixes.")
+    ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="TUNED.toml", help="Configuration to write.")],
     config: ConfigFile = None,
     hold_out: Annotated[
-        list[Path] | None,
+        list[str] | None,
         typer.Option("--hold-out", metavar="LOG.mcap", help="Log for evaluation only, not for tuning; may be repeated."),
     ] = None,
     truth: Annotated[str, typer.Option(metavar="TOPIC", help="Poses to compare with; default: the held-out fixes.")] = "",
@@ -37,10 +36,8 @@ def command(
     ] = 10.0,
     coarse: Annotated[int, typer.Option(metavar="N", min=0, help="Evaluations of the coarse search.")] = 16,
     fine: Annotated[int, typer.Option(metavar="N", min=0, help="Evaluations of the fine search, at most.")] = 40,
-    jobs: Annotated[int | None, typer.Option(metavar="N", min=1, help="Processes [default: one per core].")] = None,
-    scheduler: Annotated[
-        str, typer.Option(metavar="ADDRESS", help="dask.distributed scheduler, such as tcp://10.0.0.5:8786 (landfix[cluster]).")
-    ] = "",
+    jobs: Jobs = None,
+    scheduler: Scheduler = "",
     json: Json = False,
 ) -> None:
     """Find the noise parameters that best predict held-out fixes.
@@ -56,46 +53,27 @@ def command(
       landfix tune *.mcap -c vehicle.toml -o tuned.toml --scheduler tcp://10.0.0.5:8786
     """
     from estimator.config import load
+    from estimator.tools.fleet.engine import executor
+    from estimator.tools.fleet.store import is_stored
     from estimator.tools.tune.keys import chosen, written
     from estimator.tools.tune.score import sources
     from estimator.tools.tune.search import TuneConfig, Tuner
     from logs.store.reader import check_output
 
     text = load(config).toml()
-    names, held_out = [str(log.resolve()) for log in logs], [str(log.resolve()) for log in hold_out or ()]
+    names, held_out = ([log if is_stored(log) else str(Path(log).resolve()) for log in some] for some in (logs, hold_out or ()))
     if again := set(names) & set(held_out):
         raise TuneError(f"{min(again)}: is tuned on, so it cannot be held out")
-    check_output(out, *logs, *hold_out or ())
+    check_output(out, *(Path(log) for log in (*names, *held_out) if not is_stored(log)))
     keys = chosen(sources(names[0], text), filter(None, vary.split(",")), gates, bool(truth))
-    with _workers(jobs, scheduler) as executor, progress(f"tune {len(keys)} keys") as report:
-        tuner = Tuner(names, text, keys, TuneConfig(coarse, fine, outage_s, truth), executor, report)
+    with executor(jobs, scheduler) as workers, progress(f"tune {len(keys)} keys") as report:
+        tuner = Tuner(names, text, keys, TuneConfig(coarse, fine, outage_s, truth), workers, report)
         result = tuner.run(held_out)
     out.write_text(written(config.read_text(encoding="utf-8") if config else "", result.values), encoding="utf-8")
     if json:
         print_json(result)
     else:
         _print(result, out)
-
-
-@contextmanager
-def _workers(jobs: int | None, scheduler: str) -> Iterator[Executor]:
-    """Processes on this machine, or those of a cluster."""
-    if not scheduler:
-        from estimator.frontend.workers import pool
-
-        with pool(jobs) as executor:
-            yield executor
-        return
-    try:
-        from distributed import Client
-    except ImportError:
-        raise TuneError("--scheduler needs dask.distributed: pip install 'landfix[cluster]'") from None
-    try:
-        client = Client(scheduler, timeout="10s")
-    except (OSError, ValueError) as error:
-        raise TuneError(f"{scheduler}: no scheduler answers ({' '.join(str(error).split())[:100]})") from None
-    with client:
-        yield client.get_executor()
 
 
 def _print(result: "TuneResult", out: Path) -> None:

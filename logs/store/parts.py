@@ -92,13 +92,19 @@ def files_of(source: Path | Sequence[Path]) -> list[Path]:
         return [source]
     flights: dict[str, list[Path]] = {}
     for path in sorted(source.glob("*.mcap")):
-        if numbered := _NUMBERED.fullmatch(path.name):
-            flights.setdefault(numbered[1], []).append(path)
+        if (flight := flight_of(path.name)) != path.name:
+            flights.setdefault(flight, []).append(path)
     if not flights:
         raise LogError(f"{source}: holds no parts of a flight (NAME-000.mcap, NAME-001.mcap ...)")
     if len(flights) > 1:
         raise LogError(f"{source}: holds {len(flights)} flights ({', '.join(flights)}); name the files of one")
     return next(iter(flights.values()))
+
+
+def flight_of(name: str) -> str:
+    """The flight that a file of this name is a part of (NAME of NAME-000.mcap); the name itself where it is no part."""
+    numbered = _NUMBERED.fullmatch(name)
+    return numbered[1] if numbered else name
 
 
 def _without_copies(files: Sequence[Path]) -> list[Path]:

@@ -12,13 +12,14 @@ from mcap.records import Schema
 
 from logs.store.mcap_writer import McapWriter
 from logs.store.records import LogError
-from logs.wire.schemas import is_known, schema_text, type_hash
+from logs.wire.schemas import COMPRESSED_IMAGE, IMAGE, is_known, schema_text, type_hash
 
 METADATA_NAME: Final = "landfix"
 CONFIG_ATTACHMENT: Final = "config.toml"  # what the estimator was configured with
 REFERENCE_ATTACHMENT: Final = "reference.txt"  # says what /truth is where it is no ground truth
 FLUSH_NS: Final = 100_000_000  # of log time
 CHUNK_BYTES: Final = 64 * 1024
+_ALONE: Final = frozenset({IMAGE, COMPRESSED_IMAGE})
 _FAILURES: Final = (OSError, ValueError)  # disk full; file closed
 
 _QOS: Final = """\
@@ -45,6 +46,7 @@ class Recorder:
     metadata: of the record `landfix` (version, git, checksums); schemas: definitions of types that are neither ROS 2 Humble's nor
     ours, looked up when such a message comes. Equal calls write equal bytes: no clock is read. Raises LogError.
 
+    An image has a chunk of its own: whoever reads by the index need not read it with the other topics.
     A chunk is closed, and handed to the operating system, before the message that would make it span 0.1 s of log time. Against
     a silence that never brings this message there is flush().
     """
@@ -98,11 +100,15 @@ class Recorder:
             raise LogError(f"{self.path}: a log time before 1970 ({log_time_ns} ns, {topic}) cannot be written")
         start = self._chunk_start_ns
         try:
-            if start is None or not -FLUSH_NS < log_time_ns - start < FLUSH_NS:
+            alone = schema in _ALONE
+            if start is None or alone or not -FLUSH_NS < log_time_ns - start < FLUSH_NS:
                 self._hand_over()
                 self._chunk_start_ns = log_time_ns
             channel = self._channels.get((topic, schema)) or self._channel(topic, schema)
             self._writer.add_message(channel, log_time_ns, data, log_time_ns)
+            if alone:
+                self._hand_over()
+                self._chunk_start_ns = None
         except _FAILURES as error:
             raise self._error(error) from None
 

@@ -5,8 +5,9 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from distributed import LocalCluster
 
-from benchmarks.integrity.__main__ import cluster, jobs
+from benchmarks.integrity.__main__ import jobs
 from benchmarks.integrity.pictures import draw
 from benchmarks.integrity.record import added, not_yet
 from benchmarks.integrity.report import _delay, bound, group_of, groups_table, is_faulty, summary, table
@@ -107,21 +108,12 @@ def test_jobs_are_named_once() -> None:
     assert {job[0] for job in work} == {"village", "stress", "looks", "images"}
 
 
-def test_without_a_scheduler_processes_here_do_the_work() -> None:
-    with cluster("") as executor:
-        assert executor is None
-    with pytest.raises(SystemExit, match=r"distributed|no scheduler answers"), cluster("tcp://127.0.0.1:1"):
-        pass
-
-
 def test_the_workers_of_a_scheduler_do_what_is_left(tmp_path: Path) -> None:
-    distributed = pytest.importorskip("distributed", reason="the extra cluster")
     work = [("looks", world, "", 5.0, 0, "") for world in ("random, prior 5 m", "grid, prior 5 m")]
     kept = tmp_path / "rows.jsonl"
     here = run_jobs(work[:1], run, Row, kept)
-    local = distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
-    with local, cluster(local.scheduler_address) as executor:
-        rows = run_jobs(work, run, Row, kept, resume=True, executor=executor)
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as local:
+        rows = run_jobs(work, run, Row, kept, resume=True, scheduler=local.scheduler_address)
     assert rows == [*here, run(work[1])]
     assert len(kept.read_text().splitlines()) == len(work)
 

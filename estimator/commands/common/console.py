@@ -19,6 +19,10 @@ ConfigFile = Annotated[
     Path | None, typer.Option("--config", "-c", help="TOML configuration (landfix doctor --config lists all keys).")
 ]
 
+Jobs = Annotated[int | None, typer.Option(metavar="N", min=1, help="Processes [default: one per core].")]
+Scheduler = Annotated[
+    str, typer.Option(metavar="ADDRESS", help="dask.distributed scheduler, such as tcp://10.0.0.5:8786; default: this machine.")
+]
 
 _INTERRUPTED = 130  # the shell's exit code for SIGINT
 _NOTHING_KEPT = "landfix: interrupted; nothing was written"

@@ -1,7 +1,7 @@
 """landfix map learn."""
 # ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
 
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def command(
-    source: Annotated[Path, typer.Argument(metavar="LOG.mcap", help="Flight with GNSS, IMU and images.")],
+    source: Annotated[str, typer.Argument(metavar="LOG.mcap", help="Flight with GNSS, IMU and images, local or in a store.")],
     rig_file: Annotated[Path, typer.Option("--rig", metavar="RIG", help="Calibration of the two cameras (YAML or XML).")],
     out: Out,
     config: ConfigFile = None,
@@ -56,8 +56,8 @@ def command(
         keep=KeepConfig(least_frames=least_frames, least_m2=least_m2),
     )
     loaded = configuration.read(config) if config else configuration.Config()
-    with progress(f"learn {source.name}") as report:
-        the_map, summary = learn(source, load_rig(rig_file), loaded, how, report)
+    with progress(f"learn {PurePosixPath(source).name}") as report:
+        the_map, summary = learn(_local(source), load_rig(rig_file), loaded, how, report)
         if len(the_map):
             out.write_bytes(the_map.to_geojson(marked(the_map)))
     if summary.torn:
@@ -69,6 +69,15 @@ def command(
     if not len(the_map):
         note(f"landfix: {source}: no landmark was learned, nothing written")
         raise typer.Exit(1)
+
+
+def _local(source: str) -> Path:
+    """The log as a file of this machine."""
+    if "://" not in source:
+        return Path(source)
+    from estimator.tools.fleet.store import local_path
+
+    return local_path(source)
 
 
 def _print(summary: "LearnSummary", out: Path, *, given: bool) -> None:

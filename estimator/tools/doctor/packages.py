@@ -12,7 +12,8 @@ from typing import Final
 NAMES: Final = ("landfix", "estimator", "vision", "models", "calib", "logs")
 EXTRA_OF: Final = {
     "matplotlib": "tools", "PIL": "tools", "pyulog": "tools", "pandas": "export", "pyarrow": "export", "pyogrio": "geo",
-    "pyproj": "geo", "foxglove": "live", "dask": "cluster", "distributed": "cluster",
+    "pyproj": "geo", "foxglove": "live", "dask": "fleet", "distributed": "fleet", "fsspec": "fleet",
+    "duckdb": "fleet",
 }  # fmt: skip
 _CAMERAS: Final = "this needs OpenCV, which an installation without cameras leaves out: pip install opencv-python-headless"
 

@@ -13,7 +13,6 @@ bounded amount. A time without an estimate scores ln(eps U).
 import math
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
-from pathlib import Path
 from typing import Final, NamedTuple
 
 import msgspec
@@ -24,6 +23,7 @@ from estimator.frontend.requests import prior_at
 from estimator.fusion import Fusion
 from estimator.sources.pose import given_components
 from estimator.sources.source import FALSE_ATTITUDE_RAD, FALSE_POSITION_M
+from estimator.tools.fleet.store import local_path
 from logs.evaluation.trajectory import POSE_TYPES, Trajectory, decode
 from logs.store.reader import LogError, LogReader
 from logs.wire import axes
@@ -153,7 +153,7 @@ def _read(log: str, config: str, truth: str) -> _Log:
     data: list[bytes] = []
     arrived: list[int] = []
     schema = ""
-    with LogReader(Path(log)) as reader:
+    with LogReader(local_path(log)) as reader:
         for record in reader:
             if message := decoder.decode(record.topic, record.schema, record.data, record.log_time_ns):
                 messages.append(message)

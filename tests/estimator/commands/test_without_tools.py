@@ -1,4 +1,4 @@
-"""What flies runs without the packages of the ground: landfix[tools], [geo], [export], [live], [cluster]."""
+"""What flies runs without the packages of the ground: landfix[tools], [geo], [export], [live], [fleet]."""
 
 import os
 import re
@@ -100,9 +100,9 @@ def test_the_lock_of_what_flies_has_the_dependencies_and_no_tools() -> None:
     assert all("://" not in text and "--hash=sha256:" in text for text in locks)
 
 
-@pytest.mark.parametrize("extra", ["tools", "export", "geo", "live", "cluster"])
+@pytest.mark.parametrize("extra", ["tools", "export", "geo", "live", "fleet"])
 def test_each_extra_is_known_by_the_message(extra: str) -> None:
-    modules = {"matplotlib", "pyulog", "pandas", "pyarrow", "pyogrio", "pyproj", "foxglove", "dask"} & {
+    modules = {"matplotlib", "pyulog", "pandas", "pyarrow", "pyogrio", "pyproj", "foxglove", "dask", "duckdb", "fsspec"} & {
         m for m, e in EXTRA_OF.items() if e == extra
     }
     assert modules

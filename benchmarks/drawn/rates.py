@@ -1,0 +1,100 @@
+"""From drawn flights to a rate: weights, effective sample size, and a bound that a reader can follow by hand.
+
+    P(event in a flight) = 1/N sum_k w_k x_k        x_k: 1 where flight k had an event; unbiased, for E_q[w x] = E_p[x]
+    ESS = (sum w)^2 / sum w^2
+
+The bound is by strata (no fault, each kind alone, several): the nominal probability of the stratum times the Clopper-Pearson
+bound of the share of its flights with an event. A stratum that was never drawn counts with its whole probability.
+"""
+
+import math
+from collections.abc import Sequence
+
+import msgspec
+
+from benchmarks.drawn.faults import KINDS, Fault, nominal
+from benchmarks.integrity.report import bound
+from benchmarks.integrity.rows import Row
+
+NONE, SEVERAL = "no fault", "several faults"
+
+
+class Flown(msgspec.Struct, frozen=True):
+    """A drawn flight; row: what the campaign counts of it."""
+
+    seed: int
+    vehicle: str
+    duration_s: float
+    faults: tuple[Fault, ...]
+    weight: float
+    row: Row
+
+    @property
+    def stratum(self) -> str:
+        """Its faults in a word."""
+        return NONE if not self.faults else self.faults[0].kind if len(self.faults) == 1 else SEVERAL
+
+    @property
+    def has_event(self) -> bool:
+        """Whether the error was above the level at 1e-5 per hour."""
+        return self.row.events[1] > 0
+
+
+class Stratum(msgspec.Struct, frozen=True):
+    """per_hour: what it nominally adds to the rate at most (95 %), of the condition and the share."""
+
+    name: str
+    flights: int
+    with_event: int
+    nominal: float
+    share_at_most: float
+    per_hour: float
+    worst: float
+
+
+class Rate(msgspec.Struct, frozen=True):
+    """per_hour: estimate and its standard error; at_most: sum over the strata; ess: of the weights; hours: flown."""
+
+    flights: int
+    hours: float
+    per_hour: float
+    error: float
+    ess: float
+    at_most: float
+    faults_at_most: float
+    strata: tuple[Stratum, ...]
+
+
+def rate(flown: Sequence[Flown]) -> Rate:
+    """Of flights of one duration; at_most holds for all strata together at 95 % each."""
+    hours = flown[0].duration_s / 3600.0
+    terms = [f.weight * f.has_event for f in flown]
+    mean = math.fsum(terms) / len(terms)
+    spread = math.sqrt(math.fsum((t - mean) ** 2 for t in terms) / max(len(terms) - 1, 1) / len(terms))
+    weights = [f.weight for f in flown]
+    strata = tuple(_stratum(name, p, flown, hours) for name, p in probabilities(flown[0].duration_s).items())
+    return Rate(
+        flights=len(flown),
+        hours=hours * len(flown),
+        per_hour=mean / hours,
+        error=spread / hours,
+        ess=math.fsum(weights) ** 2 / math.fsum(w * w for w in weights),
+        at_most=math.fsum(s.per_hour for s in strata),
+        faults_at_most=math.fsum(s.per_hour for s in strata if s.name != NONE),
+        strata=strata,
+    )
+
+
+def probabilities(duration_s: float) -> dict[str, float]:
+    """Nominal probability of each stratum; they sum to 1."""
+    p = {kind: nominal(kind, duration_s) for kind in KINDS}
+    none = math.prod(1.0 - x for x in p.values())
+    alone = {kind: none * x / (1.0 - x) for kind, x in p.items()}
+    return {NONE: none, **alone, SEVERAL: max(0.0, 1.0 - none - math.fsum(alone.values()))}
+
+
+def _stratum(name: str, p: float, flown: Sequence[Flown], hours: float) -> Stratum:
+    some = [f for f in flown if f.stratum == name]
+    events = sum(f.has_event for f in some)
+    most = bound(events, len(some)) if some else 1.0
+    return Stratum(name, len(some), events, p, most, p * most / hours, max((f.row.worst for f in some), default=0.0))

@@ -1,0 +1,1 @@
+"""The evidence pack for the protection levels: claim, assumptions, faults, results, traceability, how to run it again."""

@@ -1,0 +1,199 @@
+"""One flight on a worker: out of the store, through its importer if it needs one, replay, evaluation, its row."""
+
+import resource
+import time
+from collections.abc import Callable
+from functools import lru_cache
+from hashlib import sha256
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+
+import msgspec
+
+from estimator.config import Config, ConfigError, parse, read
+from estimator.replay.from_images import seen_again
+from estimator.replay.replay import OWN_INPUTS, replay
+from estimator.replay.summary import ReplaySummary
+from estimator.tools.fleet.errors import FleetError
+from estimator.tools.fleet.rows import Row, of_evaluation
+from estimator.tools.fleet.selected import copy_selected
+from estimator.tools.fleet.store import Flight, open_at
+from estimator.version import version
+from logs.evaluation.collected import TRUTH_TOPIC
+from logs.evaluation.collected import read as collect
+from logs.evaluation.evaluate import assess
+from logs.importers import ROSBAG, convert
+from logs.store.parts import PartsReader
+from logs.store.reader import LogError
+from logs.store.recorder import CONFIG_ATTACHMENT
+
+_IMPORTED: Final = {".ulg": "ulog", ".bin": "dataflash", ".tlog": "tlog", ".bag": ROSBAG, ".db3": ROSBAG}
+_PACKAGES: Final = ("estimator", "vision", "models", "calib", "logs")
+_SLOWEST_HZ: Final = 0.01
+_ROOT: Final = Path(__file__).parents[3]
+
+
+class Settings(msgspec.Struct, frozen=True):
+    """What all flights of a run have in common.
+
+    configuration: TOML text; None: what each log was recorded or imported with; truth: topic of the reference; from_images: the
+    images are processed again, with the configuration's files (path in it -> content); code: of the program that asks, which
+    the worker's must be.
+    """
+
+    label: str
+    configuration: str | None = None
+    truth: str = TRUTH_TOPIC
+    from_images: bool = False
+    files: dict[str, bytes] = {}
+    code: str = ""
+
+
+@lru_cache(maxsize=1)
+def code() -> str:
+    """sha256 over the program's source files: two with the same make the same rows."""
+    digest = sha256(version().encode())
+    for package in _PACKAGES:
+        for file in sorted((_ROOT / package).rglob("*.py")):
+            digest.update(f"{file.relative_to(_ROOT)}\0".encode() + file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def key_of(flight: Flight, settings: Settings) -> str:
+    """The identity of a row."""
+    files = sorted((name, sha256(content).hexdigest()) for name, content in settings.files.items())
+    parts = flight.log, flight.state, settings.configuration, settings.truth, settings.from_images, files, settings.code
+    return sha256(repr(parts).encode()).hexdigest()[:32]
+
+
+def fly(flight: Flight, settings: Settings) -> Row:
+    """The row of the flight. Raises OSError where the store fails, FleetError where this worker runs another program."""
+    if code() != settings.code:
+        raise FleetError(f"a worker runs another landfix ({code()}) than this one ({settings.code}): install the same there")
+    cpu_s, wall_s = time.process_time(), time.monotonic()
+    row: dict[str, Any] = {
+        "key": key_of(flight, settings),
+        "label": settings.label,
+        "log": flight.log,
+        "parts": len(flight.parts),
+        "stored_bytes": flight.stored_bytes,
+        "version": version(),
+        "code": settings.code,
+        "from_images": settings.from_images,
+    }
+    with TemporaryDirectory(prefix="landfix-") as scratch:
+        try:
+            row |= _result(flight, settings, Path(scratch), row)
+        except (OSError, MemoryError):  # of the store or this machine: elsewhere, or later, it may go well
+            raise
+        except Exception as error:  # of this log and this program: it would come again
+            row["error"] = _one_line(error).replace(scratch, flight.log.rpartition("/")[0])
+    return Row(
+        **row,
+        cpu_s=time.process_time() - cpu_s,
+        wall_s=time.monotonic() - wall_s,
+        memory_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
+    )
+
+
+def _one_line(error: Exception) -> str:
+    text = " ".join(str(error).split())
+    return text if isinstance(error, LogError | ConfigError) else f"internal error: {type(error).__name__}: {text}"
+
+
+def _result(flight: Flight, settings: Settings, scratch: Path, row: dict[str, Any]) -> dict[str, Any]:
+    """All columns that the flight fills; those known where it fails are put into `row`."""
+    collected = collect(estimate(flight, settings, scratch, row), settings.truth)
+    found = of_evaluation(assess(collected, flight.log))
+    if collected.origin is not None:
+        found |= {"lat_deg": collected.origin.lla[0], "lon_deg": collected.origin.lla[1]}
+    return found
+
+
+def estimate(flight: Flight, settings: Settings, scratch: Path, row: dict[str, Any]) -> Path:
+    """The flight as replay writes it, in `scratch`; what is known of it on the way is put into `row`. Raises LogError."""
+    config = parse(settings.configuration) if settings.configuration is not None else None
+    wanted = _wanted(config, settings.truth, images=settings.from_images)
+    files, own = _local(flight, wanted, scratch, row)
+    with PartsReader(files) as reader:
+        row["start_utc_s"] = next((record.log_time_ns * 1e-9 for record in reader), None)
+        row["imported_as"] = reader.imported_as
+        if config is None:
+            config = own or _recorded_with(reader)
+    row["configuration_sha256"] = sha256(config.toml().encode()).hexdigest()
+    row["vehicle"] = config.bounds.vehicle
+    out, processor = scratch / "estimate.mcap", None
+    if settings.from_images:
+        vehicle = _written(settings.files, scratch / "vehicle")
+        processor = seen_again(config, vehicle, files)
+    summary = replay(files, out, _sparse(config), processor=processor)
+    row |= _of_summary(summary)
+    if summary.advice:
+        raise LogError(f"no estimate: {summary.advice}")
+    return out
+
+
+def _of_summary(summary: ReplaySummary) -> dict[str, Any]:
+    return {
+        "first_estimate_s": summary.first_estimate_s,
+        "internal_errors": summary.internal_errors,
+        "torn": summary.torn,
+        "skipped_chunks": summary.skipped_chunks,
+        "missing": summary.missing,
+    }
+
+
+def _local(flight: Flight, wanted: Callable[[str], bool], scratch: Path, row: dict[str, Any]) -> tuple[list[Path], Config | None]:
+    """MCAP files with what is needed of the parts, and the configuration that an importer made."""
+    files, digest, made = list[Path](), sha256(), None
+    row["read_bytes"] = 0
+    for address in flight.parts:
+        fs, path = open_at(address)
+        name = PurePosixPath(path).name
+        kind = _IMPORTED.get(PurePosixPath(name).suffix.lower())
+        copied = copy_selected(fs, path, scratch / name, wanted)
+        row["read_bytes"] += copied.read_bytes
+        digest.update(copied.digest.encode())
+        file = scratch / name
+        if kind:
+            file = scratch / f"{name}.mcap"
+            convert(kind, scratch / name, file)
+            made = read(file.with_suffix(".toml"))
+            (scratch / name).unlink()
+        files.append(file)
+    row["inputs_sha256"] = digest.hexdigest()
+    return files, made
+
+
+def _recorded_with(reader: PartsReader) -> Config:
+    """The configuration that is attached to the log, defaults where there is none."""
+    texts = [a.data.decode(errors="replace") for a in reader.attachments if a.name == CONFIG_ATTACHMENT]
+    return parse(texts[0], f"{CONFIG_ATTACHMENT} in the log") if texts else Config()
+
+
+def _sparse(config: Config) -> Config:
+    """The configuration without the outputs that no evaluation reads: pose, transform and geodetic position at each estimate."""
+    return msgspec.structs.replace(config, output=msgspec.structs.replace(config.output, slow_rate_hz=_SLOWEST_HZ))
+
+
+def _written(files: dict[str, bytes], folder: Path) -> Path:
+    """The folder, with the files that the configuration names in it."""
+    folder.mkdir()
+    for name, content in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
+    return folder
+
+
+def _wanted(config: Config | None, truth: str, *, images: bool) -> Callable[[str], bool]:
+    """Which topics a replay and an evaluation read; without a configuration all that are no images."""
+    if config is None:
+        return lambda topic: "image" not in topic
+    topics = {topic for value in msgspec.structs.asdict(config.inputs).values() for topic in _flat(value)}
+    seen = set() if images else {*config.inputs.left_image, *config.inputs.right_image}
+    return (topics - seen | OWN_INPUTS | {truth}).__contains__
+
+
+def _flat(value: str | tuple[str, ...]) -> tuple[str, ...]:
+    return (value,) if isinstance(value, str) else value

@@ -1,0 +1,53 @@
+"""A comparison as one HTML page: what moved over the fleet, by group, then flight by flight, the worst first."""
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+from estimator.tools.fleet.compare import Change, Comparison, MetricChange, words
+from models.web_page import BAD, GOOD, page, table, text, verdict
+
+Links = Sequence[tuple[str, str]]  # words, address
+
+_MOST: Final = 100  # flights on the page, of each end
+
+
+def write(c: Comparison, reports: Mapping[str, Links]) -> str:
+    """The page; reports: log -> label and file of each report that was made."""
+    before, after = (text(label) for label in c.labels)
+    word = f"{c.worse} of {c.pairs} flights worse, {c.better} better" if c.worse or c.better else "no flight differs"
+    head = f"<h1>{after} against {before}</h1><p>{verdict(word, BAD if c.worse or c.broken else GOOD)}</p>"
+    facts = [
+        ("flights with both rows", str(c.pairs)),
+        (f"only under {c.labels[0]}, only under {c.labels[1]}", f"{c.only_before}, {c.only_after}"),
+        ("flights whose inputs differ", str(c.differing)),
+        *((f"budget broken: {b.budget}", f"{b.share_percent:.2f} % of the flights") for b in c.broken),
+    ]
+    metrics = [_metric(m) for m in c.metrics if m.pairs]
+    groups = [(g.value, str(g.pairs), str(g.worse), str(g.better), f"{g.median_percent:+.2f} %") for g in c.groups]
+    worse, better = [x for x in c.changes if x.worse > 0][:_MOST], [x for x in c.changes[::-1] if x.worse < 0][:_MOST]
+    body = head + "".join((
+        table(("", (), facts)),
+        table(("Metrics", ("metric", "flights", "worse", "better", "noise", "median change", "p (signed rank)"), metrics)),
+        table(("Groups", ("value", "flights", "worse", "better", "median change"), groups)),
+        _flights("Worse, the worst first", worse, reports),
+        _flights("Better, the best first", better, reports),
+    ))  # fmt: skip
+    return page(f"{c.labels[1]} against {c.labels[0]}", body)
+
+
+def _metric(m: MetricChange) -> tuple[str, ...]:
+    p = "-" if m.p is None else f"{m.p:.2g}"
+    return m.metric, str(m.pairs), str(m.worse), str(m.better), f"{m.noise:.2g}", f"{m.median_percent:+.2f} %", p
+
+
+def _flights(title: str, changes: list[Change], reports: Mapping[str, Links]) -> str:
+    if not changes:
+        return ""
+    lines = "".join(_flight(change, reports.get(change.log, ())) for change in changes)
+    head = "<tr><th>flight</th><th>change</th><th>report</th></tr>"
+    return f'<h3>{text(title)}</h3><div class="wide"><table>{head}{lines}</table></div>'
+
+
+def _flight(change: Change, links: Links) -> str:
+    made = " ".join(f'<a href="{text(href)}">{text(label)}</a>' for label, href in links) or "-"
+    return f"<tr><td>{text(change.log)}</td><td>{text(words(change))}</td><td>{made}</td></tr>"

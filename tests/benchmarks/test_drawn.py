@@ -1,0 +1,63 @@
+"""Drawn faults: weights that are right, windows that are kept, arithmetic that a reader can follow."""
+
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks.drawn.faults import KINDS, Fault, drawn, nominal, with_faults
+from benchmarks.drawn.rates import NONE, SEVERAL, Flown, probabilities, rate
+from benchmarks.integrity.report import bound
+from benchmarks.integrity.rows import Row
+from benchmarks.integrity.runs import village
+
+SECONDS = 120.0
+
+
+def flown(seed: int, faults: tuple[Fault, ...], weight: float, events: int) -> Flown:
+    return Flown(seed, "rotor", SECONDS, faults, weight, Row("drawn", "rotor", "", SECONDS, seed, events=(events, events, 0)))
+
+
+def test_the_weighted_share_of_each_kind_is_its_nominal_probability() -> None:
+    rng = np.random.default_rng(1)
+    draws = [drawn(rng, SECONDS) for _ in range(20_000)]
+    assert 0.9 < np.mean([len(faults) for faults, _ in draws]) < 1.1
+    assert np.mean([weight for _, weight in draws]) == pytest.approx(1.0, abs=0.03)
+    for kind in KINDS:
+        share = np.mean([weight * any(f.kind == kind for f in faults) for faults, weight in draws])
+        assert share == pytest.approx(nominal(kind, SECONDS), rel=0.25)
+
+
+def test_the_strata_are_all_there_is() -> None:
+    found = probabilities(SECONDS)
+    assert math.fsum(found.values()) == pytest.approx(1.0, abs=1e-15)
+    assert found[NONE] > 1.0 - 3e-5
+    assert 0.0 <= found[SEVERAL] < 1e-9
+
+
+def test_a_fault_changes_messages_while_it_lasts_and_no_others() -> None:
+    flight = village("rotor", "both", 40.0, 3)
+    rng = np.random.default_rng(1)
+    for name, kind in KINDS.items():
+        fault = Fault(name, kind.sizes[1], 12.0, 20.0)
+        messages = with_faults(flight, (fault,), rng)
+        assert len(messages) == len(flight.messages), name
+        before, after = ({repr(m) for m in some} for some in (flight.messages, messages))
+        lost = [m for m in flight.messages if repr(m) not in after]
+        assert lost, name
+        assert all(12.0 <= (m.t_ns - flight.start_ns) * 1e-9 < 20.0 for m in lost), name
+        assert len(after - before) == len(lost), name
+
+
+def test_rates_are_the_arithmetic_of_the_strata() -> None:
+    (kind, *_) = KINDS
+    fault = Fault(kind, 1.0, 10.0, 20.0)
+    p = nominal(kind, SECONDS)
+    some = [flown(k, (), 2.5, 0) for k in range(60)] + [flown(k, (fault,), 16.0 * p, k == 60) for k in range(60, 100)]
+    found = rate(some)
+    assert found.per_hour == pytest.approx(16.0 * p / 100 * 30.0)
+    by_name = {s.name: s for s in found.strata}
+    assert (by_name[kind].flights, by_name[kind].with_event) == (40, 1)
+    assert by_name[kind].per_hour == pytest.approx(p * bound(1, 40) * 30.0, rel=1e-4)
+    assert by_name[SEVERAL].share_at_most == 1.0  # never drawn
+    assert 60.0 < found.ess < 61.0
