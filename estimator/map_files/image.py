@@ -8,9 +8,11 @@ import pymap3d
 
 from estimator.map_files import orthophoto
 from estimator.map_files.image_file import ImageFile
+from estimator.map_files.keypoints import keypoints
 from models.maps import projection
 from models.maps.table import MapError
 from models.messages import Array, Vec3
+from vision.ground.features import FeatureMap
 from vision.ground.image import GroundImage, Heights
 from vision.recognisers import MapImage
 
@@ -43,7 +45,8 @@ def load(file: ImageFile, at: Vec3) -> MapImage:
         of_nodes[:, :2] *= step
         level = Heights.level(0.0)
         heights = Heights(points[:, 2].reshape(nodes.shape[:2]), of_nodes, level.unevenness_m, level.slope)
-    return MapImage.of(GroundImage(file.path.name, photo.image, affine, heights, file.sigma_m, file.height_sigma_m))
+    image = GroundImage(file.path.name, photo.image, affine, heights, file.sigma_m, file.height_sigma_m)
+    return MapImage(image, FeatureMap.placed(image, *keypoints(file.path, image)))
 
 
 def _nodes(width: int, height: int) -> Array:
