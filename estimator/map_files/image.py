@@ -7,13 +7,14 @@ import numpy as np
 import pymap3d
 
 from estimator.map_files import orthophoto
-from estimator.map_files.image_file import ImageFile
+from estimator.map_files.image_file import ImageFile, LearnedFiles
 from estimator.map_files.keypoints import keypoints
 from models.maps import projection
 from models.maps.table import MapError
 from models.messages import Array, Vec3
 from vision.ground.features import FeatureMap
 from vision.ground.image import GroundImage, Heights
+from vision.ground.learned import Learned, ModelError
 from vision.recognisers import MapImage
 
 _SPACING_PX = 400  # of the nodes that carry the georeference over to n
@@ -46,7 +47,15 @@ def load(file: ImageFile, at: Vec3) -> MapImage:
         level = Heights.level(0.0)
         heights = Heights(points[:, 2].reshape(nodes.shape[:2]), of_nodes, level.unevenness_m, level.slope)
     image = GroundImage(file.path.name, photo.image, affine, heights, file.sigma_m, file.height_sigma_m)
-    return MapImage(image, FeatureMap.placed(image, *keypoints(file.path, image)))
+    return MapImage(image, FeatureMap.placed(image, *keypoints(file.path, image)), _learned(file.learned))
+
+
+def _learned(files: LearnedFiles | None) -> Learned | None:
+    """The models, where given. Raises MapError, one line; OSError where one cannot be read."""
+    try:
+        return None if files is None else Learned(*files)
+    except ModelError as error:
+        raise MapError(str(error)) from None
 
 
 def _nodes(width: int, height: int) -> Array:
