@@ -36,7 +36,7 @@ from vision.pose.pose import PoseEstimate
 from vision.records.reports import Result, fix_of, pose_flaw
 
 _SAME_99 = 11.345  # chi-square of 3, 99 %
-_LIKELY_VIEWS, _PEAK_VIEWS = 2, 3  # that agree: a clear peak is wrong in one oblique image of twenty or so
+_LIKELY_VIEWS, _PEAK_VIEWS = 2, 3  # that agree: a clear peak is wrong in one oblique image of fifty or so
 _NEW_VIEW = 0.25  # of what an image shows, by its length: by so much another one must have moved on to confirm it
 
 

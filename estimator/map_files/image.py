@@ -14,7 +14,7 @@ from models.maps.table import MapError
 from models.messages import Array, Vec3
 from vision.ground.features import FeatureMap
 from vision.ground.image import GroundImage, Heights
-from vision.ground.learned import Learned, ModelError
+from vision.ground.learned import Learned, Model, ModelError
 from vision.recognisers import MapImage
 
 _SPACING_PX = 400  # of the nodes that carry the georeference over to n
@@ -52,8 +52,12 @@ def load(file: ImageFile, at: Vec3) -> MapImage:
 
 def _learned(files: LearnedFiles | None) -> Learned | None:
     """The models, where given. Raises MapError, one line; OSError where one cannot be read."""
+    if files is None:
+        return None
+    extractor = Model(str(files.extractor), files.extractor.read_bytes(), files.extractor_sha256)
+    matcher = Model(str(files.matcher), files.matcher.read_bytes(), files.matcher_sha256)
     try:
-        return None if files is None else Learned(*files)
+        return Learned(extractor, matcher)
     except ModelError as error:
         raise MapError(str(error)) from None
 

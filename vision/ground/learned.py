@@ -9,8 +9,7 @@ as all features are. One thread; the same images give the same answer.
 
 import hashlib
 import math
-from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -38,13 +37,20 @@ class ModelError(ValueError):
     """A model that cannot be used; the text is one line and names the file."""
 
 
-class Learned:
-    """Both models. Raises ModelError where a file is not the one that is meant or cannot be used; OSError where there is none."""
+class Model(NamedTuple):
+    """An ONNX file: its name, content, and the SHA-256 that it should have; an empty one is not compared."""
 
-    def __init__(self, extractor: Path, matcher: Path, extractor_sha256: str = "", matcher_sha256: str = "") -> None:
-        """An empty SHA-256 is not compared."""
-        self._extractor = _session(extractor, extractor_sha256, {"images"}, 3)
-        self._matcher = _session(matcher, matcher_sha256, {"kpts0", "kpts1", "desc0", "desc1"}, 2)
+    name: str
+    content: bytes
+    sha256: str = ""
+
+
+class Learned:
+    """Both models. Raises ModelError where one is not the one that is meant or cannot be used."""
+
+    def __init__(self, extractor: Model, matcher: Model) -> None:
+        self._extractor = _session(extractor, {"images"}, 3)
+        self._matcher = _session(matcher, {"kpts0", "kpts1", "desc0", "desc1"}, 2)
 
     def keypoints(self, grey: Float) -> tuple[Array, Float]:
         """Pixels (N, 2) and descriptors (N, 64) of an image (640, 360)."""
@@ -62,25 +68,25 @@ class Learned:
         return rows
 
 
-def _session(path: Path, sha256: str, inputs: set[str], outputs: int) -> Any:
+def _session(model: Model, inputs: set[str], outputs: int) -> Any:
     """A model of one thread."""
-    content = path.read_bytes()
+    name, content, sha256 = model
     found = hashlib.sha256(content).hexdigest()
     if sha256 and found != sha256.lower():
-        raise ModelError(f"{path}: its SHA-256 is {found}, not {sha256}")
+        raise ModelError(f"{name}: its SHA-256 is {found}, not {sha256}")
     try:
         import onnxruntime  # noqa: PLC0415  (optional)
     except ImportError:
-        raise ModelError(f"{path}: learned matching needs onnxruntime: pip install 'landfix[learned]'") from None
+        raise ModelError(f"{name}: learned matching needs onnxruntime: pip install 'landfix[learned]'") from None
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4
     try:
         session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
     except Exception:  # whatever the runtime says of a file that is none, it has classes of its own for it
-        raise ModelError(f"{path}: not an ONNX model that can be read") from None
+        raise ModelError(f"{name}: not an ONNX model that can be read") from None
     if {one.name for one in session.get_inputs()} != inputs or len(session.get_outputs()) != outputs:
-        raise ModelError(f"{path}: not the model that is needed here (inputs {', '.join(sorted(inputs))})")
+        raise ModelError(f"{name}: not the model that is needed here (inputs {', '.join(sorted(inputs))})")
     return session
 
 

@@ -9,7 +9,7 @@ import pytest
 from tests.vision.ground import scene
 from vision.ground.features import NotRecognised, Recognised
 from vision.ground.image import GroundImage
-from vision.ground.learned import Learned, ModelError, recognise_learned
+from vision.ground.learned import Learned, Model, ModelError, recognise_learned
 from vision.identify.identify import Prior
 from vision.records.reports import pose_flaw
 
@@ -32,7 +32,8 @@ def files(landfix_data: Path) -> tuple[Path, Path]:
 @pytest.fixture(scope="module")
 def models(files: tuple[Path, Path]) -> Learned:
     pytest.importorskip("onnxruntime", reason="landfix[learned] is not installed")
-    return Learned(*files, *SHA256)
+    extractor, matcher = (Model(path.name, path.read_bytes(), sha256) for path, sha256 in zip(files, SHA256, strict=True))
+    return Learned(extractor, matcher)
 
 
 def _found(
@@ -85,13 +86,12 @@ def test_a_heading_too_open_is_said(models: Learned) -> None:
     assert "heading open by 17 deg" in found.detail
 
 
-def test_another_file_is_refused_in_one_line(files: tuple[Path, Path], tmp_path: Path) -> None:
+def test_another_file_is_refused_in_one_line(files: tuple[Path, Path]) -> None:
+    extractor, matcher = (Model(path.name, path.read_bytes()) for path in files)
     with pytest.raises(ModelError, match="SHA-256"):
-        Learned(*files, "0" * 64, SHA256[1])
+        Learned(extractor._replace(sha256="0" * 64), matcher)
     pytest.importorskip("onnxruntime", reason="landfix[learned] is not installed")
     with pytest.raises(ModelError, match="not the model that is needed here"):
-        Learned(files[1], files[0])
-    broken = tmp_path / "broken.onnx"
-    broken.write_bytes(files[0].read_bytes()[:1000])
+        Learned(matcher, extractor)
     with pytest.raises(ModelError, match="not an ONNX model"):
-        Learned(broken, files[1])
+        Learned(extractor._replace(content=extractor.content[:1000]), matcher)
