@@ -145,7 +145,7 @@ def command(
             raise typer.BadParameter(f"--learned {learned}: needs two files, XFEAT,LIGHTERGLUE")
         known = ImageFile(
             picture, picture_sigma_m, picture_height_m, picture_height_sigma_m, picture_heights, picture_epsg,
-            LearnedFiles(*models) if models else None,
+            LearnedFiles(models[0], models[1]) if models else None,
         )  # fmt: skip
     landmarks, map_image = _map(map_file, known)
     shots = take(given, landmarks.frame, lambda north, east: _ground_d(landmarks, map_image, north, east))

@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from models.camera import StereoRig
 from tests.vision.ground import scene
 from vision.ground.features import NotRecognised, Recognised
 from vision.ground.image import GroundImage
@@ -73,10 +74,10 @@ def test_a_camera_that_is_upright_is_not_turned(models: Learned) -> None:
     assert scene.chi_square(found.pose, p_n, R_nb) < 33.7
 
 
-def _upright() -> scene.StereoRig:
+def _upright() -> StereoRig:
     """The middle 360 columns of the camera."""
     cut = msgspec.structs.replace(scene.CAMERA, width=360, cx=scene.CAMERA.cx - 140.0)
-    rig: scene.StereoRig = msgspec.structs.replace(scene.RIG, left=cut)
+    rig: StereoRig = msgspec.structs.replace(scene.RIG, left=cut)
     return rig
 
 
