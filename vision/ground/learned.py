@@ -9,6 +9,7 @@ as all features are. One thread; the same images give the same answer.
 
 import hashlib
 import math
+from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -29,6 +30,7 @@ _STEEPEST: Final = 0.05  # least sine of a ray below the horizon
 _FEATURE_PX: Final = 1.0  # of a keypoint's position in the extractor's input
 _INLIER_PX: Final = 4.0  # the same, of RANSAC
 _TERMS: Final = 5  # of the intersection of a ray with the heights
+_MOVED: Final = 1.9  # as a peak's in peak.py: of the unevenness, common to all matches, the more the fewer of them agree
 _LEAST: Final = 8  # keypoints, and matches
 _JUDGED = FeatureConfig()
 
@@ -126,7 +128,12 @@ def recognise_learned(
         return NotRecognised("few_matches", f"{good.sum()} of {len(mine[0])} features")
     sigma_px = math.hypot(_FEATURE_PX * wide * unit_px, 0.5 * map_image.pixel_m / grid.camera_m)
     matches = Matches(px[good], x_n[good], sigma_px, _INLIER_PX * wide * unit_px)
-    return pose_of_matches(rig, matches, prior, map_image, _JUDGED)
+    found = pose_of_matches(rig, matches, prior, map_image, _JUDGED)
+    if isinstance(found, NotRecognised):
+        return found
+    moved_m = _MOVED * map_image.heights.unevenness_m * (1.0 - found.inliers / found.matched) ** 4
+    less_sure = replace(map_image, sigma_m=math.hypot(map_image.sigma_m, moved_m))
+    return pose_of_matches(rig, matches, prior, less_sure, _JUDGED)
 
 
 def _to_camera(rig: StereoRig, px: Array) -> Array:
