@@ -17,7 +17,7 @@ from estimator.frontend.key_frames import VisualOdometryConfig
 from estimator.frontend.requests import VisionConfig
 from estimator.fusion import EstimatorConfig, FusionConfig
 from estimator.integrity.config import IntegrityConfig
-from estimator.map_files.image_file import ImageFile
+from estimator.map_files.image_file import ImageFile, LearnedFiles
 from estimator.publish import OutputConfig
 from estimator.service.autopilot.output_policy import AutopilotConfig, Px4Config
 from estimator.service.base.clock import ClockConfig
@@ -120,6 +120,10 @@ class Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         str | None, Meta(description="GeoTIFF or image with a world file: heights [m] of its ground above the ellipsoid")
     ] = None
     picture_epsg: Annotated[int, Meta(ge=0, le=999_999, description="EPSG code of the raster, if it holds none")] = 0
+    learned_models: Annotated[
+        tuple[str, ...], Meta(description="ONNX files of XFeat and LighterGlue for learned matching; none: without")
+    ] = ()
+    learned_sha256: Annotated[tuple[str, ...], Meta(description="their SHA-256, in the same order")] = ()
 
 
 class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -201,8 +205,14 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         if m.picture is None:
             return None
         heights = folder / m.picture_heights if m.picture_heights else None
+        learned = None
+        if m.learned_models or m.learned_sha256:
+            if len(m.learned_models) != 2 or len(m.learned_sha256) != 2 or not all(m.learned_sha256):
+                raise ConfigError("[map]: learned_models needs two files, and learned_sha256 the SHA-256 of each")
+            extractor, matcher = (folder / name for name in m.learned_models)
+            learned = LearnedFiles(extractor, matcher, *m.learned_sha256)
         return ImageFile(
-            folder / m.picture, m.picture_sigma_m, m.picture_height_m, m.picture_height_sigma_m, heights, m.picture_epsg
+            folder / m.picture, m.picture_sigma_m, m.picture_height_m, m.picture_height_sigma_m, heights, m.picture_epsg, learned
         )
 
     def toml(self) -> str:

@@ -85,11 +85,12 @@ class LandmarkPipeline:
             return nothing(t_ns, "no_landmark_near", images.remark)
         if images.one_channel:  # thermal or grey: what a colour looks like there is not known, not even its polarity
             near = [msgspec.structs.replace(mark, colour_bgr=None) for mark in near]
-        predicted = None if self._config.path == "segment" else self._predicted(images, near, t_ns, prior)
-        if predicted is not None:
+        predicted = "" if self._config.path == "segment" else self._predicted(images, near, t_ns, prior)
+        if isinstance(predicted, Result):
             return predicted
         found = self._segment.locate(images, near, t_ns, prior)
-        return found if isinstance(found, Result) else self._verified(found, near, t_ns, prior)
+        result = found if isinstance(found, Result) else self._verified(found, near, t_ns, prior)
+        return result if result.fix is not None or not predicted else _with_remark(result, predicted)
 
     def _verified(self, found: Identified, near: list[Landmark], t_ns: int, prior: Prior) -> Result:
         """What predict and verify says of the position that identified regions tell."""
@@ -101,15 +102,15 @@ class LandmarkPipeline:
             self._segment.clear()
         return with_regions(result, found.reports)
 
-    def _predicted(self, images: Images, near: list[Landmark], t_ns: int, prior: Prior) -> Result | None:
-        """What predict and verify says; None where segmentation is to have its turn."""
+    def _predicted(self, images: Images, near: list[Landmark], t_ns: int, prior: Prior) -> Result | str:
+        """What predict and verify says; where segmentation is to have its turn, why outlines were not searched, if so."""
         only = self._config.path == "predict"
         moves = self._predict.moves(images, near, prior)
         if moves is None:
-            return nothing(t_ns, "no_landmark_near", f"{images.remark}predicted: none comes into view") if only else None
+            return nothing(t_ns, "no_landmark_near", f"{images.remark}predicted: none comes into view") if only else ""
         marks, move = moves
-        if not only and not self._predict.narrow(images, move):
-            return None
+        if not only and (wide := self._predict.too_wide(images, move)):
+            return f"outlines not searched: {wide}"
         located = self._predict.locate(images, marks, move, t_ns, prior)
         doubtful = self._may_be_the_next_house(located, images, near, prior)
         if doubtful:
@@ -121,7 +122,7 @@ class LandmarkPipeline:
             self._segment.clear()
         settled = result.fix is not None or result.report.outcome == "waiting"  # a likely one is not overruled, but confirmed
         narrow = not doubtful and self._predict.narrow(images, move, _WIDE)
-        return result if only or settled or narrow else None
+        return result if only or settled or narrow else ""
 
     def _may_be_the_next_house(self, located: Result, images: Images, near: list[Landmark], prior: Prior) -> bool:
         """Whether a position from which the map repeats itself shows the same, or nearly so."""
@@ -145,6 +146,12 @@ class LandmarkPipeline:
         reach = [height * float(np.hypot(r[0], r[1])) / r[2] if r[2] > 0.1 else np.inf for r in rays]
         radius = min(1.2 * max(reach), self._config.farthest_m) + sigma
         return self._map.near(p_nc[0], p_nc[1], radius)
+
+
+def _with_remark(result: Result, remark: str) -> Result:
+    """The result with one more remark in its report."""
+    report = msgspec.structs.replace(result.report, detail="; ".join(text for text in (result.report.detail, remark) if text))
+    return replace(result, report=report)
 
 
 def _to_the_next_house(result: Result, most: int, near: list[Landmark], prior: Prior) -> Array:

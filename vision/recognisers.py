@@ -2,13 +2,16 @@
 
     landmarks by description   always, where the map has any: pipeline.py
     registration               where they gave nothing, the map holds an image, and the prior limits the search: registration.py
-    features                   where the prior is too wide for that, or registration found no certain position: features.py
-    peak                       where neither succeeded: position by the peak of registration's search, peak.py
+    peak                       where its blocks do not agree: the peak of its search, where that is very clear, peak.py
+    features                   where the prior is too wide for that, or none of these is certain: features.py
+    learned features           where they are not either, and models are given: learned.py
+    peak and another evidence  where the peak is only clear: blocks that are likely, or images of two other views that agree
 
 All of them end in a LandmarkFix; the image counts as one landmark, named as its file, with the errors of its georeference.
 The result depends on the requests since the run began and on nothing else: a replay takes the same decisions.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -19,9 +22,10 @@ from msgspec import Meta
 from models.camera import StereoRig
 from models.maps.landmarks import LandmarkMap
 from models.messages import Array, VisionReport
-from vision.ground.features import FeatureConfig, FeatureMap, NotRecognised, recognise
+from vision.ground.features import FeatureConfig, FeatureMap, NotRecognised, Recognised, recognise
 from vision.ground.image import GroundImage
-from vision.ground.peak import PeakConfig, fit_peak
+from vision.ground.learned import Learned, recognise_learned
+from vision.ground.peak import PeakConfig, fit_peak, stands_alone
 from vision.ground.registration import NotRegistered, Peak, Registered, RegistrationConfig, register
 from vision.identify.identify import Prior
 from vision.identify.sightings import one_eyed
@@ -32,6 +36,7 @@ from vision.pose.pose import PoseEstimate
 from vision.records.reports import Result, fix_of, pose_flaw
 
 _SAME_99 = 11.345  # chi-square of 3, 99 %
+_LIKELY_VIEWS, _PEAK_VIEWS = 2, 3  # that agree: a clear peak is wrong in one oblique image of fifty or so
 _NEW_VIEW = 0.25  # of what an image shows, by its length: by so much another one must have moved on to confirm it
 
 
@@ -49,10 +54,11 @@ class RecogniserConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, slots=True)
 class MapImage:
-    """A georeferenced image and its keypoints, found once."""
+    """A georeferenced image and its keypoints, found once; learned: models that match where those do not."""
 
     image: GroundImage
     features: FeatureMap
+    learned: Learned | None = None
 
     @classmethod
     def of(cls, image: GroundImage, config: FeatureConfig | None = None) -> "MapImage":
@@ -64,19 +70,26 @@ class MapImage:
 class _Likely:
     """What one image said of the prior's error: offset_n (3,), its covariance, and the prior's variance then.
 
-    shown_n (2,): the middle of what it shows; length_m: of that, at most.
+    shown_n: the middle (2,) of what it shows, and of what each earlier image that agrees showed; length_m: of that, at most.
     """
 
     t_ns: int
     offset_n: Array
     covariance: Array
     prior: Array
-    shown_n: Array
+    shown_n: tuple[Array, ...]
     length_m: float
 
     def shows_the_same(self, other: "_Likely") -> bool:
         """Whether too little of what it shows is new: a false match on the ground would be there again."""
-        return bool(np.linalg.norm(self.shown_n - other.shown_n) < _NEW_VIEW * self.length_m)
+        apart = [np.linalg.norm(self.shown_n[0] - shown) for shown in other.shown_n]
+        return bool(min(apart) < _NEW_VIEW * self.length_m)
+
+    def agrees(self, before: "_Likely") -> bool:
+        """Whether both say the same of the prior's error, as far as it has not grown in between."""
+        apart = self.offset_n - before.offset_n
+        drift = np.diag(np.maximum(self.prior - before.prior, 0.0))
+        return bool(apart @ np.linalg.solve(self.covariance + before.covariance + drift, apart) < _SAME_99)
 
 
 class Recognisers:
@@ -112,25 +125,47 @@ class Recognisers:
         laid = self._laid(known, found, t_ns, prior)
         if laid.fix is not None or laid.report.outcome == "no_ground":
             return laid
-        other = self._by_features(known, rig, image, t_ns, prior)
-        if other.fix is not None:
-            self._likely = None
-            return other
-        laid = replace(laid, report=msgspec.structs.replace(laid.report, detail=f"{laid.report.detail}; {other.report.detail}"))
-        return laid if found.peak is None else self._by_peak(known, rig, found.peak, prior, laid)
+        peak = self._by_peak(known, rig, found, prior, laid)
+        if peak.fix is not None:
+            return peak
+        for other in self._by_points(known, rig, image, t_ns, prior):
+            if other.fix is not None:
+                self._likely = None
+                return other
+            peak = replace(peak, report=_with_detail(peak.report, other.report.detail))
+        return peak if peak.pose is None else self._agreed(known, found, peak, prior)
 
-    def _by_peak(self, known: MapImage, rig: StereoRig, peak: Peak, prior: Prior, laid: Result) -> Result:
-        """What the search alone says, where it is clear; else what became of the blocks."""
-        report = laid.report
-        found = fit_peak(rig, prior, known.image, peak, self._config.peak)
-        flaw = found if isinstance(found, str) else pose_flaw(found, prior)
-        if flaw or isinstance(found, str):
-            return replace(laid, report=msgspec.structs.replace(report, detail=f"{report.detail}; {flaw}"))
+    def _by_peak(self, known: MapImage, rig: StereoRig, found: Registered | NotRegistered, prior: Prior, laid: Result) -> Result:
+        """What the search says, a fix where it needs no other evidence or blocks are likely, too; a pose without a fix where it
+        is only clear; else what became of the blocks.
+        """
+        peak, config = found.peak, self._config.peak
+        if peak is None:
+            return laid
+        pose = fit_peak(rig, prior, known.image, peak, config)
+        flaw = pose if isinstance(pose, str) else pose_flaw(pose, prior)
+        if flaw or isinstance(pose, str):
+            return replace(laid, report=_with_detail(laid.report, str(flaw)))
         evidence = (
             f"{known.image.name}: position by the peak of the search alone, {peak.ratio:.2f} times the second, "
-            f"correlation {peak.correlation:.2f}; {report.detail}"
+            f"correlation {peak.correlation:.2f}; {laid.report.detail}"
         )
-        return _fixed(report.t_ns, known.image.name, found, (1, 1), evidence, peak.correlation)
+        fixed = _fixed(laid.report.t_ns, known.image.name, pose, (1, 1), evidence, peak.correlation)
+        likely = isinstance(found, Registered) and found.is_likely(self._config.registration)
+        if stands_alone(peak, config) or (likely and laid.report.outcome == "ambiguous"):
+            self._likely = None
+            return fixed
+        return replace(fixed, fix=None, report=msgspec.structs.replace(fixed.report, outcome="waiting", candidates=0))
+
+    def _agreed(self, known: MapImage, found: Registered | NotRegistered, weak: Result, prior: Prior) -> Result:
+        """A fix where images of other views said the same; else the peak waits for them."""
+        assert weak.pose is not None
+        assert found.peak is not None
+        if self._is_confirmed(weak.pose, found.peak, weak.report.t_ns, prior, _PEAK_VIEWS):
+            self._likely = None
+            detail = f"{weak.report.detail}; other views agree"
+            return _fixed(weak.report.t_ns, known.image.name, weak.pose, (1, 1), detail, found.peak.correlation)
+        return replace(weak, pose=None, report=_with_detail(weak.report, "images of other views must agree"))
 
     def _laid(self, known: MapImage, found: Registered | NotRegistered, t_ns: int, prior: Prior) -> Result:
         """What registration found, judged."""
@@ -142,52 +177,58 @@ class Recognisers:
         )
         if flaw := pose_flaw(found.pose, prior):
             return _refused(t_ns, "no_pose", f"{evidence}; {flaw}", (found.tried, found.agreed))
-        if not (found.is_sure(self._config.registration) or self._is_confirmed(found, t_ns, prior)):
+        config = self._config.registration
+        likely = found.is_likely(config) and self._is_confirmed(found.pose, found.peak, t_ns, prior, _LIKELY_VIEWS)
+        if not (found.is_sure(config) or likely):
             return _refused(t_ns, "ambiguous", evidence, (found.tried, found.agreed))
         self._likely = None
         return _fixed(t_ns, known.image.name, found.pose, (found.tried, found.agreed), evidence)
 
-    def _is_confirmed(self, found: Registered, t_ns: int, prior: Prior) -> bool:
-        """Whether an earlier image of another view said the same of the prior's error; if not, this one waits for the next.
+    def _is_confirmed(self, pose: PoseEstimate, peak: Peak, t_ns: int, prior: Prior, views: int) -> bool:
+        """Whether so many views, this one included, say the same of the prior's error; if not, this one waits for the next.
 
         An image of the same view confirms nothing, and the earlier one waits on.
         """
-        if not found.is_likely(self._config.registration):
-            return False
-        pose, variance = found.pose, np.diag(prior.covariance)[:3]
-        length_m = found.peak.q * self._config.registration.coarse
-        now = _Likely(
-            t_ns, pose.joint_p_n - prior.p_n, pose.joint_covariance[:3, :3], variance, found.peak.shown_n, length_m
-        )  # fmt: skip
+        variance, length_m = np.diag(prior.covariance)[:3], peak.q * self._config.registration.coarse
+        now = _Likely(t_ns, pose.joint_p_n - prior.p_n, pose.joint_covariance[:3, :3], variance, (peak.shown_n,), length_m)
         before = self._likely
         if before is not None and not 0 < t_ns - before.t_ns <= self._config.memory_s * 1e9:
             before = None
         if before is not None and now.shows_the_same(before):
             return False
+        if before is not None and now.agrees(before):
+            now = replace(now, shown_n=(*now.shown_n, *before.shown_n))
         self._likely = now
-        if before is None:
-            return False
-        apart = now.offset_n - before.offset_n
-        drift = np.diag(np.maximum(now.prior - before.prior, 0.0))
-        return bool(apart @ np.linalg.solve(now.covariance + before.covariance + drift, apart) < _SAME_99)
+        return len(now.shown_n) >= views
 
-    def _by_features(self, known: MapImage, rig: StereoRig, image: Image, t_ns: int, prior: Prior) -> Result:
-        found = recognise(rig, image, prior, known.features, self._config.features)
-        if isinstance(found, NotRecognised):
-            return _refused(t_ns, found.reason, f"{known.image.name}: {found.detail}")
-        evidence, counts = (
-            f"{known.image.name}: {found.inliers} of {found.matched} features agree",
-            (found.matched, found.inliers),
-        )
-        if flaw := pose_flaw(found.pose, prior):
-            return _refused(t_ns, "no_pose", f"{evidence}; {flaw}", counts)
-        return _fixed(t_ns, known.image.name, found.pose, counts, evidence)
+    def _by_points(self, known: MapImage, rig: StereoRig, image: Image, t_ns: int, prior: Prior) -> Iterator[Result]:
+        """What features say, and then the learned ones."""
+        yield _pointed(known.image.name, recognise(rig, image, prior, known.features, self._config.features), "", t_ns, prior)
+        if known.learned is not None:
+            found = recognise_learned(known.learned, rig, image, prior, known.image)
+            yield _pointed(known.image.name, found, "learned ", t_ns, prior)
+
+
+def _pointed(name: str, found: Recognised | NotRecognised, kind: str, t_ns: int, prior: Prior) -> Result:
+    """What features of a kind found, judged."""
+    if isinstance(found, NotRecognised):
+        return _refused(t_ns, found.reason, f"{name}: {kind}{found.detail}")
+    evidence, counts = f"{name}: {found.inliers} of {found.matched} {kind}features agree", (found.matched, found.inliers)
+    if flaw := pose_flaw(found.pose, prior):
+        return _refused(t_ns, "no_pose", f"{evidence}; {flaw}", counts)
+    return _fixed(t_ns, name, found.pose, counts, evidence)
 
 
 def _both(described: Result, seen: Result) -> Result:
     """One report of both: the outcome is the image's, what became of the regions is kept."""
     detail = f"landmarks: {described.report.outcome} {described.report.detail}".strip() + f"; image: {seen.report.detail}"
     return replace(seen, report=msgspec.structs.replace(seen.report, detail=detail), regions=described.regions)
+
+
+def _with_detail(report: VisionReport, detail: str) -> VisionReport:
+    """The report with one more remark."""
+    added: VisionReport = msgspec.structs.replace(report, detail=f"{report.detail}; {detail}")
+    return added
 
 
 def _refused(t_ns: int, outcome: str, detail: str, counts: tuple[int, int] = (0, 0)) -> Result:

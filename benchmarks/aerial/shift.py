@@ -41,7 +41,7 @@ def observe(case: Case, prior: Prior, marks: list[Landmark]) -> Found:
     assert not isinstance(images, str)
     assert move is not None
     best = pattern.best_shift(eye, images, marks, move, CoarseConfig())
-    assert best is not None
+    assert not isinstance(best, str)
     return Found(case.judge(*move.pose(move.gain @ best.q)), best.ratio)
 
 

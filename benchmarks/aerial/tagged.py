@@ -133,7 +133,7 @@ def _locate(
 ) -> Iterator[tuple[Prior, Result]]:
     """What the command finds in each photo alone."""
     down = float(np.median(ground.columns.base_d))
-    shots = take(Given(files, rig, None, [], "", None, width), landmarks.frame, lambda north, east: down)  # noqa: ARG005
+    shots = take(Given(files, rig, None, [], "", None, None, width), landmarks.frame, lambda north, east: down)  # noqa: ARG005
     for shot in shots.images:
         yield shot.prior, Recognisers(shots.rig, landmarks, image).process(shot.left, None, shot.t_ns, shot.prior)
 

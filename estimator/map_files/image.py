@@ -7,11 +7,14 @@ import numpy as np
 import pymap3d
 
 from estimator.map_files import orthophoto
-from estimator.map_files.image_file import ImageFile
+from estimator.map_files.image_file import ImageFile, LearnedFiles
+from estimator.map_files.keypoints import keypoints
 from models.maps import projection
 from models.maps.table import MapError
 from models.messages import Array, Vec3
+from vision.ground.features import FeatureMap
 from vision.ground.image import GroundImage, Heights
+from vision.ground.learned import Learned, Model, ModelError
 from vision.recognisers import MapImage
 
 _SPACING_PX = 400  # of the nodes that carry the georeference over to n
@@ -43,7 +46,20 @@ def load(file: ImageFile, at: Vec3) -> MapImage:
         of_nodes[:, :2] *= step
         level = Heights.level(0.0)
         heights = Heights(points[:, 2].reshape(nodes.shape[:2]), of_nodes, level.unevenness_m, level.slope)
-    return MapImage.of(GroundImage(file.path.name, photo.image, affine, heights, file.sigma_m, file.height_sigma_m))
+    image = GroundImage(file.path.name, photo.image, affine, heights, file.sigma_m, file.height_sigma_m)
+    return MapImage(image, FeatureMap.placed(image, *keypoints(file.path, image)), _learned(file.learned))
+
+
+def _learned(files: LearnedFiles | None) -> Learned | None:
+    """The models, where given. Raises MapError, one line; OSError where one cannot be read."""
+    if files is None:
+        return None
+    extractor = Model(str(files.extractor), files.extractor.read_bytes(), files.extractor_sha256)
+    matcher = Model(str(files.matcher), files.matcher.read_bytes(), files.matcher_sha256)
+    try:
+        return Learned(extractor, matcher)
+    except ModelError as error:
+        raise MapError(str(error)) from None
 
 
 def _nodes(width: int, height: int) -> Array:

@@ -4,6 +4,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 
+class LearnedFiles(NamedTuple):
+    """Models of learned matching (ONNX), with their SHA-256; an empty one is not compared."""
+
+    extractor: Path
+    matcher: Path
+    extractor_sha256: str = ""
+    matcher_sha256: str = ""
+
+
 class ImageFile(NamedTuple):
     """A map's image on disk: georeferenced image, and how well it is; height of its ground above the ellipsoid or a raster."""
 
@@ -13,3 +22,4 @@ class ImageFile(NamedTuple):
     height_sigma_m: float
     heights: Path | None = None
     epsg: int = 0
+    learned: LearnedFiles | None = None

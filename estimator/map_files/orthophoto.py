@@ -1,11 +1,12 @@
 """Georeferenced images, and the colours of roofs in them.
 
-A GeoTIFF, or any image with a world file (.pgw, .jgw, .tfw, .wld) next to it:
+A GeoTIFF, or any image with a world file (.pgw, .jgw, .tfw, .wld) next to it, and a .prj that names its coordinate system:
 
 (x, y) = A (u, v, 1): plane coordinates of the pixel whose centre is at (u, v)
 """
 
 import mmap
+import re
 import struct
 from pathlib import Path
 from typing import NamedTuple
@@ -74,7 +75,7 @@ def georeference(path: Path, epsg: int = 0) -> tuple[Array, int]:
         raise MapError(
             f"{path}: is not georeferenced: neither a GeoTIFF nor with a world file ({_world_name(path).name}) in the same folder"
         )
-    epsg = epsg or _epsg(tags)
+    epsg = epsg or _epsg(tags) or _prj(path)
     if projection.to_lonlat(epsg, np.zeros((1, 2))) is None:
         code = f"EPSG:{epsg} is not known here" if epsg else "is not in its tags"
         option = "--picture-epsg, or picture_epsg of the configuration"
@@ -182,6 +183,23 @@ def _tiff_affine(tags: dict[int, tuple[float, ...]]) -> Array:
     if _key(tags, _RASTER) != _POINT:
         affine[:, 2] += 0.5 * affine[:, :2].sum(axis=1)
     return _regular(affine, "GeoTIFF")
+
+
+def _prj(path: Path) -> int:
+    """EPSG code by the .prj (WKT) beside an image: its own, or that of WGS 84 or its UTM by name; 0 where neither."""
+    try:
+        text = path.with_suffix(".prj").read_text(errors="replace")
+    except OSError:
+        return 0
+    code = re.search(r'(?:AUTHORITY|ID)\s*\[\s*"EPSG"\s*,\s*"?(\d{4,6})"?\s*\]\s*\]\s*$', text)
+    if code:
+        return int(code[1])
+    name = re.match(r'\s*\w+\s*\[\s*"([^"]*)"', text)
+    system = name[1].replace("_", " ") if name else ""
+    zone = re.fullmatch(r"WGS (?:19)?84 (?:/ )?UTM zone (\d{1,2})([NS])", system, re.IGNORECASE)
+    if zone:
+        return (32600 if zone[2].upper() == "N" else 32700) + int(zone[1])
+    return 4326 if system.upper() in {"GCS WGS 1984", "WGS 84"} else 0
 
 
 def _regular(affine: Array, name: object) -> Array:

@@ -216,6 +216,16 @@ def test_a_prior_that_leaves_too_many_landmarks_open() -> None:
     assert (result.fix, result.report.outcome) == (None, "prior_too_wide")
 
 
+def test_a_heading_too_open_for_the_outlines_is_said_with_what_would_do() -> None:
+    v = view()
+    sigma = np.array([5.0, 5.0, 5.0, *np.radians([1.0, 1.0, 20.0])])
+    noise = np.random.default_rng(3).integers(0, 255, v.left.shape).astype(np.uint8)
+    result = pipeline().process(noise, None, 0, Prior(v.prior.p_n, v.prior.q_nb_wxyz, np.diag(sigma**2)))
+    assert result.fix is None
+    assert "outlines not searched: heading open by" in result.report.detail
+    assert "searched up to 12.0" in result.report.detail
+
+
 def test_the_wrong_street_is_not_taken_for_the_right_one() -> None:
     """The prior is wrong by 50 m, two blocks, ten of its sigmas."""
     v = view()

@@ -104,7 +104,7 @@ def _unsure() -> RecogniserConfig:
 
 def test_features_come_in_where_registration_is_uncertain(known: MapImage) -> None:
     p_n, prior, left, _ = _seen(1)
-    config = RecogniserConfig(registration=RegistrationConfig(sure=1e-300))
+    config = RecogniserConfig(registration=RegistrationConfig(sure=1e-300), peak=PeakConfig(deviations=1e9))
     result = Recognisers(scene.RIG, NOTHING, known, config).process(left, None, 7, prior)
     assert result.fix is not None
     assert "features agree" in result.report.detail
@@ -130,6 +130,40 @@ def test_too_late_out_of_order_or_elsewhere_confirms_nothing(known: MapImage, se
     _, prior, left, _ = _seen(1, on=45.0)
     later = Prior(prior.p_n + np.array([moved, 0.0, 0.0]), prior.q_nb_wxyz, prior.covariance)
     assert waiting.process(left, None, 20 * SECOND + round(seconds * SECOND), later).report.outcome == "ambiguous"
+
+
+def _only_a_peak(**changes: float) -> RecogniserConfig:
+    """Blocks and features never agree."""
+    never = RegistrationConfig(least_blocks=10**6)
+    return RecogniserConfig(registration=never, features=FeatureConfig(least=10**6), peak=PeakConfig(**changes))
+
+
+def test_a_very_clear_peak_is_a_fix_before_features_are_sought(known: MapImage, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recognisers, "recognise", lambda *_: pytest.fail("features were sought"))
+    _, prior, left, _ = _seen(1)
+    result = Recognisers(scene.RIG, NOTHING, known, _only_a_peak()).process(left, None, 7, prior)
+    assert result.fix is not None
+    assert "peak of the search alone" in result.report.detail
+
+
+@pytest.mark.parametrize("high", ["alone_ratio", "alone_deviations"])
+def test_a_clear_peak_alone_waits_for_two_other_views(known: MapImage, high: str) -> None:
+    """Hovering over the same ground is no other view, and an image that shows another error of the prior begins anew."""
+    waiting = Recognisers(scene.RIG, NOTHING, known, _only_a_peak(**{high: 1e9}))
+    results = []
+    for t, on in enumerate((0.0, 0.0, 40.0, 0.0, -40.0)):
+        _, prior, left, _ = _seen(1, on=on)
+        results.append(waiting.process(left, None, t * SECOND, prior))
+    assert [r.report.outcome for r in results] == ["waiting", "waiting", "waiting", "waiting", "fixed"]
+    assert [r.pose is not None for r in results] == [False, False, False, False, True]
+    assert "other views agree" in results[4].report.detail
+    contradicted = Recognisers(scene.RIG, NOTHING, known, _only_a_peak(**{high: 1e9}))
+    _, prior, left, _ = _seen(1)
+    contradicted.process(left, None, 0, prior)
+    for t, on in enumerate((40.0, -40.0), 1):
+        _, prior, left, _ = _seen(1, on=on)
+        later = Prior(prior.p_n + np.array([8.0, 0.0, 0.0]), prior.q_nb_wxyz, prior.covariance)
+        assert contradicted.process(left, None, t * SECOND, later).report.outcome == "waiting"
 
 
 def test_a_prior_that_excludes_the_position_is_accepted(known: MapImage) -> None:

@@ -63,17 +63,26 @@ class FeatureMap:
     @classmethod
     def of(cls, image: GroundImage, config: FeatureConfig | None = None) -> "FeatureMap":
         """The keypoints of an image; takes about a second for each million pixels."""
-        config = config or FeatureConfig()
-        level = 0
-        while level < len(image.pyramid) - 1 and max(image.pyramid[level].shape) > config.longest_map:
-            level += 1
-        px, descriptors = _of_large(image.pyramid[level], config.most_in_map)
-        position = px * 2.0**level @ image.affine[:, :2].T + image.affine[:, 2]
-        return cls(image, image.points(position), descriptors)
+        return cls.placed(image, *map_keypoints(image.pyramid, config))
+
+    @classmethod
+    def placed(cls, image: GroundImage, px: Array, descriptors: Descriptors) -> "FeatureMap":
+        """Keypoints at pixels (N, 2) of an image, where its georeference and its heights have them."""
+        return cls(image, image.points(px @ image.affine[:, :2].T + image.affine[:, 2]), descriptors)
 
     def near(self, position_n: Array, radius_m: float) -> NDArray[np.intp]:
         """Rows of the keypoints within a circle about a position (2,)."""
         return np.flatnonzero(np.hypot(*(self.x_n[:, :2] - position_n).T) < radius_m)
+
+
+def map_keypoints(levels: tuple[Image, ...], config: FeatureConfig | None = None) -> tuple[Array, Descriptors]:
+    """Pixels (N, 2) of level 0 and descriptors (N, 128) of a map's image, given as its pyramid."""
+    config = config or FeatureConfig()
+    level = 0
+    while level < len(levels) - 1 and max(levels[level].shape) > config.longest_map:
+        level += 1
+    px, descriptors = _of_large(levels[level], config.most_in_map)
+    return px * 2.0**level, descriptors
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +91,18 @@ class NotRecognised:
 
     reason: str
     detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Matches:
+    """Pixels (N, 2) of the left camera and points of the map (N, 3) that look alike; sigma_px: how well they are placed;
+    inlier_px: RANSAC's distance.
+    """
+
+    px: Array
+    x_n: Array
+    sigma_px: float
+    inlier_px: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,20 +136,28 @@ def recognise(
     mine, theirs = _matches(descriptors, known.descriptors[rows], config.ratio)
     if len(mine) < config.least:
         return NotRecognised("few_matches", f"{len(mine)} of {len(px)} features")
-    px, x_n = px[mine] * 2.0**level, known.x_n[rows[theirs]]
-    agree = _ransac(rig, px, x_n, config.inlier_px * 2.0**level)
-    if len(agree) < _FEWEST:
-        return NotRecognised("few_inliers", f"{len(agree)} of {len(mine)} matches")
     sigma_px = _FEATURE_PX * math.hypot(2.0**level, map_image.pixel_m / grid.camera_m)
+    matches = Matches(px[mine] * 2.0**level, known.x_n[rows[theirs]], sigma_px, config.inlier_px * 2.0**level)
+    return pose_of_matches(rig, matches, prior, map_image, config)
+
+
+def pose_of_matches(
+    rig: StereoRig, matches: Matches, prior: Prior, map_image: GroundImage, config: FeatureConfig
+) -> Recognised | NotRecognised:
+    """The pose that explains the matches: P3P in RANSAC, then with the prior, whose scale, heading and tilt it must have."""
+    px, x_n, sigma_px = matches.px, matches.x_n, matches.sigma_px
+    agree = _ransac(rig, px, x_n, matches.inlier_px)
+    if len(agree) < _FEWEST:
+        return NotRecognised("few_inliers", f"{len(agree)} of {len(px)} matches")
     pose, best = (_position(rig, prior.R_nb, px[agree], x_n[agree]), prior.R_nb), None
     for _ in range(2):  # to the matches that agreed, then to all that do
         if not _far_enough(rig, pose, x_n[agree], map_image).all():
-            return NotRecognised("no_pose", f"points beside the camera, of {len(mine)} matches")
+            return NotRecognised("no_pose", f"points beside the camera, of {len(px)} matches")
         points = _points(rig, pose, px[agree], x_n[agree], sigma_px, map_image)
         fit = fit_points(rig, points, pose, prior, map_image.shared_sigma, _POINTS)
         if isinstance(fit, str):
-            return NotRecognised("no_pose", f"{fit}, of {len(mine)} matches")
-        pose, best = (fit.estimate.joint_p_n, fit.estimate.joint_R_nb), _judged(fit, points, len(mine), rig, config)
+            return NotRecognised("no_pose", f"{fit}, of {len(px)} matches")
+        pose, best = (fit.estimate.joint_p_n, fit.estimate.joint_R_nb), _judged(fit, points, len(px), rig, config)
         agree = np.flatnonzero(_distances(rig, pose, px, x_n, sigma_px, map_image) < _GATE)
     assert best is not None
     return best

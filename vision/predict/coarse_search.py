@@ -56,7 +56,7 @@ class CoarseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How far is searched, and what a vote is compared with."""
 
     limit_px: Annotated[float, Meta(gt=0, description="largest shift searched, in an image 640 px wide")] = 160.0
-    turn_deg: Annotated[float, Meta(gt=0, description="largest turn searched")] = 10.0
+    turn_deg: Annotated[float, Meta(gt=0, description="largest turn searched")] = 30.0
     sigmas: Annotated[float, Meta(gt=0, description="of the prior that are searched")] = 3.0
     roof_px: Annotated[float, Meta(gt=1, description="a roof's width in the reduced image, at least")] = 6.0
     most_votes: Annotated[

@@ -69,8 +69,9 @@ def judged(
     if not narrow and (trusted or pair or len(marks) < _SEVERAL):
         return result
     best = best_shift(eye, images, marks, move, config)
-    if best is None:
-        return result
+    if isinstance(best, str):
+        remark = f"{result.report.detail}; {best}" if best and result.fix is None else result.report.detail
+        return replace(result, report=msgspec.structs.replace(result.report, detail=remark))
     if result.pose is None:
         sure = best.ratio >= SURE
         return _as_fix(result, one_eyed(rig, right=images.only_right), marks, move, best, alone=alone) if sure else result
@@ -89,22 +90,22 @@ def _only_shifts(move: Motion, config: CoarseConfig) -> bool:
     return move.roof_px < _ROOF_PX and ends_px <= _STIFF_PX
 
 
-def best_shift(eye: Eye, images: Images, marks: Sequence[Landmark], move: Motion, config: CoarseConfig) -> Summit | None:
-    """The likeliest of all shifts, turns and scales that the prior allows; None where nothing of the outlines comes into the
-    image, or where there are too many.
+def best_shift(eye: Eye, images: Images, marks: Sequence[Landmark], move: Motion, config: CoarseConfig) -> Summit | str:
+    """The likeliest of all shifts, turns and scales that the prior allows; why not where there are too many, empty where nothing
+    of the outlines comes into the image.
     """
     image = images.right if images.only_right else images.left
     assert image is not None
     found = _grid(move, config)
-    if found is None:
-        return None
+    if isinstance(found, str):
+        return found
     size, turned, su, sv = found
     level = levels(image, eye.camera, (size,))[0]
     straight, pose = Eye(level.camera, eye.R_kb, eye.p_bk, eye.right), move.pose(np.zeros(6))
     reach = max(su[-1], sv[-1]) / size
     seen = edge_points(straight, Prisms.of(marks), chromas(marks), pose, float(reach), _POINTS if len(turned) == 1 else _FEWER)
     if seen is None:
-        return None
+        return ""
     c, floor, scores = level.camera, _FLOOR * level.typical() + 0.5, []
     for turn in turned:
         aimed = seen.aimed(straight, move.pose(move.gain[:, 2:] @ turn), move.gain[:, :2])
@@ -113,11 +114,11 @@ def best_shift(eye: Eye, images: Images, marks: Sequence[Landmark], move: Motion
     return summit(np.array(scores), turned, su, sv, move.covariance, _APART_PX * size)
 
 
-def _grid(move: Motion, config: CoarseConfig) -> tuple[int, Array, Array, Array] | None:
+def _grid(move: Motion, config: CoarseConfig) -> tuple[int, Array, Array, Array] | str:
     """How often the image is reduced, turns and log scales (T, 2), shifts u (U,) and v (V,) [px] that are searched.
 
     Neighbouring turns and scales differ by _STIFF_PX at the outlines' ends; the image is reduced until the roofs are narrow and
-    the work is little. None where the roofs would be too narrow by then.
+    the work is little. Why not where the roofs would be too narrow by then.
     """
     size = 1
     while move.roof_px / size > _WIDEST_PX:
@@ -131,9 +132,13 @@ def _grid(move: Motion, config: CoarseConfig) -> tuple[int, Array, Array, Array]
         su, sv = (size * np.arange(-n, n + 1.0) for n in np.ceil(reach / size).astype(int))
         if len(turned) * len(su) * len(sv) <= _MOST:
             return size, turned, su, sv
+        if move.roof_px / (2 * size) < _NARROWEST_PX:
+            most = max(_MOST / (len(scales) * len(su) * len(sv)) - 1.0, 0.0) * step / (2.0 * config.sigmas)
+            return (
+                f"all outlines together not searched: heading open by {math.degrees(move.turn_rad):.1f} deg (1 sigma), with this "
+                f"open position and height searched up to {math.degrees(most):.1f}"
+            )
         size *= 2
-        if move.roof_px / size < _NARROWEST_PX:
-            return None
 
 
 def _as_fix(result: Result, rig: StereoRig, marks: Sequence[Landmark], move: Motion, best: Summit, *, alone: bool) -> Result:

@@ -38,6 +38,7 @@ Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 PATH = "predict"
 _BEYOND = 1.5  # of the limit: 2 sigma of the shift (86 %) are searched; where the position lies farther off nothing is found
+_TURNED_BEYOND = 1.2  # of the turns searched: the last ones are unlikely
 _MOST_STEPS = 12  # positions that may be fitted beside a position
 _DISTANCES = (-2.0, -1.0, 1.0, 2.0)  # standard deviations of the prior, from which a position that is not sure is fitted as well
 
@@ -93,9 +94,19 @@ class PredictPath:
 
     def narrow(self, images: Images, move: Motion, share: float = _BEYOND) -> bool:
         """Whether 3 sigma of the shift lie within `share` of the search's limit, and those of the turn within its own."""
+        return not self.too_wide(images, move, share)
+
+    def too_wide(self, images: Images, move: Motion, share: float = _BEYOND) -> str:
+        """What of the prior is too wide for the search, and what would do; empty where nothing is."""
         c, sigmas = self._config.coarse, self._config.coarse.sigmas
-        shift, turn = sigmas * move.shift_px, sigmas * move.turn_rad
-        return shift <= share * self._limit_px(self._eye(images)) and turn <= 1.2 * math.radians(c.turn_deg)
+        turn, most_turn = sigmas * move.turn_rad, _TURNED_BEYOND * math.radians(c.turn_deg)
+        if turn > most_turn:
+            allowed = math.degrees(most_turn) / sigmas
+            return f"heading open by {math.degrees(move.turn_rad):.1f} deg (1 sigma), searched up to {allowed:.1f}"
+        shift, most_shift = sigmas * move.shift_px, share * self._limit_px(self._eye(images))
+        if shift > most_shift:
+            return f"position and tilt open by {move.shift_px:.0f} px (1 sigma), searched up to {most_shift / sigmas:.0f}"
+        return ""
 
     def locate(self, images: Images, marks: list[Landmark], move: Motion, t_ns: int, prior: Prior) -> Result:
         """Fix or reason. Searched is what `move` allows, which may be less than what the prior of the fit leaves open."""

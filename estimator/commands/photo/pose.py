@@ -32,15 +32,18 @@ DOWN: Final = so3.matrix(so3.from_euler(0.0, -0.5 * math.pi, 0.0)) @ FORWARD  # 
 _LOWEST_M, _HIGHEST_M = 2.0, 5000.0  # above the ground, of a photo that can be located
 
 
-def prior_of(tags: Tags, frame: Origin, ground_d: Callable[[float, float], float], height_m: float | None, where: str) -> Prior:
-    """The prior pose in n. ground_d(north, east): down of the map's ground there; height_m: above it, in place of the tags'.
+def prior_of(
+    tags: Tags, frame: Origin, ground_d: Callable[[float, float], float], height_m: float | None, where: str,
+    camera_pitch_deg: float | None = None,
+) -> Prior:  # fmt: skip
+    """The prior pose in n. ground_d(north, east): down of the map's ground there; height_m: above it, in place of the tags';
+    camera_pitch_deg: from the horizon, of a camera without a gimbal, whose heading is the aircraft's.
 
     Raises CalibrationError, one line, where the tags do not tell it.
     """
     if tags.lat_lon_deg is None:
         raise CalibrationError(f"{where}: no position in its tags (EXIF, XMP): give --prior LAT,LON,ALT,ROLL,PITCH,YAW")
-    if tags.attitude_deg is None:
-        raise CalibrationError(f"{where}: no camera angles in its tags (XMP): give --prior LAT,LON,ALT,ROLL,PITCH,YAW")
+    attitude_deg = _attitude(tags, camera_pitch_deg, where)
     lat, lon = tags.lat_lon_deg
     north, east, _ = frame.to_ned(lat, lon, frame.alt_m)
     ground_alt_m = frame.to_geodetic(np.array([north, east, ground_d(north, east)]))[2]
@@ -55,8 +58,21 @@ def prior_of(tags: Tags, frame: Origin, ground_d: Callable[[float, float], float
         across = max(_CLAIMED * tags.sigma_m[0], _BEST_M)
     sigma = np.array([across, across, height_sigma, *np.deg2rad([_TILT_DEG, _TILT_DEG, _HEADING_DEG])])
     p_n = np.array(frame.to_ned(lat, lon, ground_alt_m + height))
-    gimbal = so3.from_euler(*(math.radians(a) for a in tags.attitude_deg))
+    gimbal = so3.from_euler(*(math.radians(a) for a in attitude_deg))
     return Prior(p_n, so3.normalise(so3.multiply(gimbal, so3.from_euler(0.0, 0.5 * math.pi, 0.0))), np.diag(sigma**2))
+
+
+def _attitude(tags: Tags, camera_pitch_deg: float | None, where: str) -> tuple[float, float, float]:
+    """Roll, pitch and yaw of the camera. A camera on no gimbal writes 0, 0, 0: the northern horizon."""
+    if camera_pitch_deg is not None:
+        if tags.flight_yaw_deg is None:
+            raise CalibrationError(f"{where}: no heading of the aircraft in its tags: give --prior LAT,LON,ALT,ROLL,PITCH,YAW")
+        return 0.0, camera_pitch_deg, tags.flight_yaw_deg
+    if tags.attitude_deg is None:
+        raise CalibrationError(f"{where}: no camera angles in its tags (XMP): give --prior LAT,LON,ALT,ROLL,PITCH,YAW")
+    if tags.attitude_deg == (0.0, 0.0, 0.0):
+        raise CalibrationError(f"{where}: gimbal angles are 0: give --camera-pitch -90 if it looks down")
+    return tags.attitude_deg
 
 
 def _height(tags: Tags, ground_alt_m: float, height_m: float | None, where: str) -> tuple[float, float]:

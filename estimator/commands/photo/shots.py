@@ -46,6 +46,7 @@ class Given(NamedTuple):
     prior: Sequence[str]
     prior_sigma: str
     height_m: float | None
+    camera_pitch_deg: float | None
     width: int | None
 
 
@@ -93,6 +94,8 @@ def check(given: Given) -> None:
         raise typer.BadParameter("--mount is for --prior: the angles in a photo's tags are those of the camera itself")
     if given.prior and given.height_m is not None:
         raise typer.BadParameter("--height-m is for photos with tags: --prior has a height of its own")
+    if given.prior and given.camera_pitch_deg is not None:
+        raise typer.BadParameter("--camera-pitch is for photos with tags: --prior has angles of its own")
 
 
 def take(given: Given, frame: Origin, ground_d: Callable[[float, float], float]) -> Shots:
@@ -191,7 +194,7 @@ def _priors(
     if given.prior:
         priors = [_prior(text, given.prior_sigma, frame) for text in given.prior]
         return priors * (len(files) if len(priors) == 1 else 1)
-    priors = [prior_of(tags[path], frame, ground_d, given.height_m, str(path)) for path in files]
+    priors = [prior_of(tags[path], frame, ground_d, given.height_m, str(path), given.camera_pitch_deg) for path in files]
     if given.prior_sigma:
         priors = [Prior(prior.p_n, prior.q_nb_wxyz, _covariance(given.prior_sigma)) for prior in priors]
     edited = [path for path, t in tags.items() if t.edited_by]

@@ -58,6 +58,7 @@ class Tags:
     above_takeoff_m: float | None = None
     above_ground_m: float | None = None
     attitude_deg: tuple[float, float, float] | None = None
+    flight_yaw_deg: float | None = None
     sigma_m: tuple[float, float] | None = None
     focal_mm: float | None = None
     focal_35_mm: float | None = None
@@ -100,6 +101,7 @@ def _tags(size: tuple[int, int], exif: Mapping[int, Any], gps: Mapping[int, Any]
         above_takeoff_m=_of(xmp, "RelativeAltitude"),
         above_ground_m=_of(xmp, "Camera:AboveGroundAltitude"),
         attitude_deg=_attitude(xmp, make),
+        flight_yaw_deg=_of(xmp, "FlightYawDegree"),
         sigma_m=_sigma(xmp),
         focal_mm=_above_0(exif.get(_FOCAL_MM)),
         focal_35_mm=_above_0(exif.get(_FOCAL_35_MM)),

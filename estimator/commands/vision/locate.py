@@ -69,6 +69,15 @@ def command(
     height_m: Annotated[
         float | None, typer.Option(min=1, max=5000, help="Height above the ground, in place of that in the photos' tags.")
     ] = None,
+    camera_pitch: Annotated[
+        float | None,
+        typer.Option(
+            min=-90,
+            max=0,
+            metavar="DEG",
+            help="Pitch of a camera without a gimbal, -90 is down; the heading is the aircraft's.",
+        ),
+    ] = None,
     width: Annotated[
         int | None, typer.Option(min=320, max=20_000, help="Photos are scaled to it [px]; 800 where tags tell of the camera.")
     ] = None,
@@ -86,6 +95,9 @@ def command(
     picture_epsg: Annotated[
         int, typer.Option(metavar="CODE", help="EPSG code of a raster without one: 4326, 326xx, 327xx, 3857.")
     ] = 0,
+    learned: Annotated[
+        str, typer.Option(metavar="XFEAT,LIGHTERGLUE", help="ONNX files for learned matching with the picture: landfix[learned].")
+    ] = "",
     within_m: Annotated[
         float | None,
         typer.Option("--within", metavar="M", help="Fail unless the 95 % radius of the position is at most M metres."),
@@ -118,9 +130,9 @@ def command(
       landfix locate left.png --rig rig.yaml --picture ortho.tif --picture-height-m 455 --prior 47.3977,8.5456,560,0,0,90
     """
     from estimator.commands.photo.shots import Given, check, take
-    from estimator.map_files.image_file import ImageFile
+    from estimator.map_files.image_file import ImageFile, LearnedFiles
 
-    given = Given(files, rig_file, mount_of(mount, mount_sigma), prior or [], prior_sigma, height_m, width)
+    given = Given(files, rig_file, mount_of(mount, mount_sigma), prior or [], prior_sigma, height_m, camera_pitch, width)
     check(given)
     if within_m is not None and not within_m > 0.0:
         raise typer.BadParameter(f"--within {within_m:g} must be above 0")
@@ -128,7 +140,13 @@ def command(
         raise typer.BadParameter("a map is needed: --map, --picture, or both")
     known = None
     if picture is not None:
-        known = ImageFile(picture, picture_sigma_m, picture_height_m, picture_height_sigma_m, picture_heights, picture_epsg)
+        models = [Path(name) for name in learned.split(",")] if learned else []
+        if len(models) not in {0, 2}:
+            raise typer.BadParameter(f"--learned {learned}: needs two files, XFEAT,LIGHTERGLUE")
+        known = ImageFile(
+            picture, picture_sigma_m, picture_height_m, picture_height_sigma_m, picture_heights, picture_epsg,
+            LearnedFiles(models[0], models[1]) if models else None,
+        )  # fmt: skip
     landmarks, map_image = _map(map_file, known)
     shots = take(given, landmarks.frame, lambda north, east: _ground_d(landmarks, map_image, north, east))
     for remark in shots.remarks:

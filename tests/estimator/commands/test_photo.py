@@ -203,6 +203,19 @@ def test_what_tags_do_not_tell_names_its_remedy(tmp_path: Path, left_out: str, s
     assert said in str(failed.value)
 
 
+def test_a_camera_without_a_gimbal_writes_angles_of_0_and_is_named(tmp_path: Path) -> None:
+    fixed = DJI | {f"drone-dji:Gimbal{axis}Degree": "+0.00" for axis in ("Roll", "Pitch", "Yaw")}
+    tags = tags_of(tmp_path, fixed)
+    with pytest.raises(CalibrationError, match="gimbal angles are 0: give --camera-pitch -90 if it looks down"):
+        a_prior(tags)
+    prior = prior_of(tags, PLACE, lambda north, east: 2.0, None, "photo", -90.0)  # noqa: ARG005
+    upper_edge = prior.R_nb @ DOWN @ np.array([0.0, -1.0, 0.0])
+    np.testing.assert_allclose(upper_edge, [np.cos(np.radians(46.0)), np.sin(np.radians(46.0)), 0.0], atol=1e-9)
+    without = tags_of(tmp_path, {name: value for name, value in fixed.items() if "Flight" not in name})
+    with pytest.raises(CalibrationError, match="no heading of the aircraft"):
+        prior_of(without, PLACE, lambda north, east: 2.0, None, "photo", -90.0)  # noqa: ARG005
+
+
 # ------------------------------------------------------------------------------------------------------------------ the command
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from estimator.cli import app
-from estimator.map_files.orthophoto import load
+from estimator.map_files.orthophoto import georeference, load
 from models.maps.landmarks import LandmarkMap
 from models.maps.projection import from_lonlat, to_lonlat
 from models.maps.table import MapError
@@ -150,6 +150,32 @@ def test_wrong_use_of_pick(tmp_path: Path, source: str, pick: str, words: str) -
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 2
     assert words in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("wkt", "epsg"),
+    [
+        ('PROJCS["WGS_1984_UTM_Zone_32N",GEOGCS["GCS_WGS_1984",DATUM["D_WGS_1984"]]]', 32632),
+        ('PROJCS["WGS 84 / UTM zone 7S",GEOGCS["WGS 84",AUTHORITY["EPSG","4326"]],AUTHORITY["EPSG","32707"]]', 32707),
+        ('PROJCRS["WGS 84 / UTM zone 33N",BASEGEOGCRS["WGS 84",ID["EPSG",4326]],ID["EPSG",32633]]\n', 32633),
+        ('GEOGCS["GCS_WGS_1984",DATUM["D_WGS_1984",SPHEROID["WGS_1984",6378137.0,298.257223563]]]', 4326),
+        ('PROJCS["ETRS_1989_UTM_Zone_32N",GEOGCS["GCS_ETRS_1989"]]', None),
+        ('PROJCS["NAD83 / UTM zone 15N",GEOGCS["NAD83",AUTHORITY["EPSG","4269"]]]', None),
+        ("", None),
+    ],
+)
+def test_a_prj_beside_the_world_file_names_the_system(tmp_path: Path, wkt: str, epsg: int | None) -> None:
+    """A code given wins over it; a system that is not known asks for one."""
+    path = tmp_path / "ortho.png"
+    path.write_bytes(b"")
+    path.with_suffix(".pgw").write_text("0.5 0 0 -0.5 400000 5200000")
+    path.with_suffix(".prj").write_text(wkt)
+    assert georeference(path, 32631)[1] == 32631
+    if epsg is None:
+        with pytest.raises(MapError, match="--picture-epsg"):
+            georeference(path)
+    else:
+        assert georeference(path)[1] == epsg
 
 
 def test_given_colours_stay(tmp_path: Path) -> None:

@@ -139,7 +139,7 @@ def test_where_the_same_houses_stand_twice_the_prior_decides_which(about: float)
     move = motion(eye, marks, prior)
     assert move is not None
     best = pattern.best_shift(eye, drawn(both), marks, move, CoarseConfig())
-    assert best is not None
+    assert not isinstance(best, str)
     p_n, _ = move.pose(move.gain @ best.q)
     assert float(np.linalg.norm((p_n - prior.p_n)[:2])) < 1.0
     assert best.ratio < 1.1
@@ -155,6 +155,28 @@ def test_where_the_heading_is_open_it_is_searched_as_well(yaw_off: float) -> Non
     sigma = np.sqrt(np.diag(result.pose.joint_covariance))
     assert 0.3 < sigma[0] < 1.5
     assert sigma[5] > math.radians(1.0)  # the fix says nothing of the heading
+
+
+@pytest.mark.parametrize("yaw_off", [math.radians(13.0), math.radians(-24.0)])
+def test_a_heading_open_by_ten_degrees_is_searched(yaw_off: float) -> None:
+    """In an image of half the size, whose pixels are 1 m; the heading stays the prior's, and the middle is some metres aside."""
+    result, _ = asked(VILLAGE, VILLAGE, yaw_rad=math.radians(10.0), yaw_off=yaw_off)
+    assert result.fix is not None
+    assert result.pose is not None
+    error, covariance = (result.pose.joint_p_n - TRUTH)[:2], result.pose.joint_covariance[:2, :2]
+    assert float(np.linalg.norm(error)) < 3.0
+    assert float(error @ np.linalg.solve(covariance, error)) < 9.2  # 99 %
+    assert asked(VILLAGE, (), yaw_rad=math.radians(10.0), yaw_off=yaw_off)[0].fix is None
+
+
+def test_what_is_not_searched_is_said_with_the_heading_that_would_be() -> None:
+    result, _ = asked(VILLAGE, VILLAGE, yaw_rad=math.radians(10.0), sigma_m=40.0)
+    assert result.fix is None
+    assert "not searched: heading open by 10.0 deg" in result.report.detail
+    allowed = float(result.report.detail.rsplit("searched up to ", 1)[1])
+    assert 0.0 < allowed < 10.0
+    nearer, _ = asked(VILLAGE, VILLAGE, yaw_rad=math.radians(0.99 * allowed), sigma_m=40.0)
+    assert nearer.fix is not None
 
 
 def test_with_an_open_heading_nothing_there_is_no_fix() -> None:

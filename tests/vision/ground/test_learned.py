@@ -1,0 +1,98 @@
+"""Learned matching: the same ground in another season, a wrong map, models that are not the ones meant."""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from models.camera import StereoRig
+from tests.vision.ground import scene
+from vision.ground.features import NotRecognised, Recognised
+from vision.ground.image import GroundImage
+from vision.ground.learned import Learned, Model, ModelError, recognise_learned
+from vision.identify.identify import Prior
+from vision.records.reports import pose_flaw
+
+SIGMA = np.array([8.0, 8.0, 3.0, 0.01, 0.01, 0.03])
+NAMES = "xfeat_1024_640x360.onnx", "lighterglue_L3.onnx"
+SHA256 = (
+    "1cedb09368994d8fe9721ce352f027537ec5179dde423728fe5aab71f52c99cd",
+    "a721f366f54b20328fa98c799cc31478edb1c31f0c941528df3d363c3753760d",
+)
+
+
+@pytest.fixture(scope="module")
+def files(landfix_data: Path) -> tuple[Path, Path]:
+    extractor, matcher = (landfix_data / "models" / name for name in NAMES)
+    if not extractor.is_file() or not matcher.is_file():
+        pytest.skip(f"LANDFIX_DATA has no models/{NAMES[0]} and models/{NAMES[1]}")
+    return extractor, matcher
+
+
+@pytest.fixture(scope="module")
+def models(files: tuple[Path, Path]) -> Learned:
+    pytest.importorskip("onnxruntime", reason="landfix[learned] is not installed")
+    extractor, matcher = (Model(path.name, path.read_bytes(), sha256) for path, sha256 in zip(files, SHA256, strict=True))
+    return Learned(extractor, matcher)
+
+
+def _found(
+    models: Learned, seed: int, known: GroundImage, prior_yaw: float = 0.03
+) -> tuple[Recognised | NotRecognised, Prior, float]:
+    rng = np.random.default_rng(seed)
+    p_n, R_nb, prior = scene.flight(rng, SIGMA)
+    sigma = np.array([*SIGMA[:5], prior_yaw])
+    prior = Prior(prior.p_n, prior.q_nb_wxyz, np.diag(sigma**2))
+    found = recognise_learned(models, scene.RIG, scene.shot(scene.drawing(seed), p_n, R_nb, rng), prior, known)
+    return found, prior, scene.chi_square(found.pose, p_n, R_nb) if isinstance(found, Recognised) else np.nan
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_ground_that_is_known_is_found(models: Learned, seed: int) -> None:
+    found, prior, squared = _found(models, seed, scene.map_image(scene.drawing(seed)))
+    assert isinstance(found, Recognised), found
+    assert not pose_flaw(found.pose, prior)
+    assert squared < 33.7  # chi-square of 6, 1e-5
+
+
+def test_a_map_turned_or_of_another_place_is_not(models: Learned) -> None:
+    for seed in (1, 2):
+        for ground in (scene.drawing(seed)[::-1, ::-1], np.roll(scene.drawing(seed), 500, (0, 1)), scene.drawing(seed + 99)):
+            found, prior, _ = _found(models, seed, scene.map_image(np.ascontiguousarray(ground)))
+            assert isinstance(found, NotRecognised) or pose_flaw(found.pose, prior)
+
+
+def test_a_camera_that_is_upright_is_not_turned(models: Learned) -> None:
+    """The extractor's input is upright: a wide image is turned by a quarter, a high one is not."""
+    rng = np.random.default_rng(1)
+    high = _upright()
+    p_n, R_nb, prior = scene.flight(rng, SIGMA)
+    seen = scene.shot(scene.drawing(1), p_n, R_nb, rng)[:, 140:500]
+    found = recognise_learned(models, high, seen, prior, scene.map_image(scene.drawing(1)))
+    assert isinstance(found, Recognised), found
+    assert scene.chi_square(found.pose, p_n, R_nb) < 33.7
+
+
+def _upright() -> StereoRig:
+    """The middle 360 columns of the camera."""
+    cut = msgspec.structs.replace(scene.CAMERA, width=360, cx=scene.CAMERA.cx - 140.0)
+    rig: StereoRig = msgspec.structs.replace(scene.RIG, left=cut)
+    return rig
+
+
+def test_a_heading_too_open_is_said(models: Learned) -> None:
+    found, _, _ = _found(models, 1, scene.map_image(scene.drawing(1)), prior_yaw=0.3)
+    assert isinstance(found, NotRecognised)
+    assert "heading open by 17 deg" in found.detail
+
+
+def test_another_file_is_refused_in_one_line(files: tuple[Path, Path]) -> None:
+    extractor, matcher = (Model(path.name, path.read_bytes()) for path in files)
+    with pytest.raises(ModelError, match="SHA-256"):
+        Learned(extractor._replace(sha256="0" * 64), matcher)
+    pytest.importorskip("onnxruntime", reason="landfix[learned] is not installed")
+    with pytest.raises(ModelError, match="not the model that is needed here"):
+        Learned(matcher, extractor)
+    with pytest.raises(ModelError, match="not an ONNX model"):
+        Learned(extractor._replace(content=extractor.content[:1000]), matcher)
