@@ -246,7 +246,7 @@ def _weights(numbers: Buckets, start_ns: int) -> TimeChart:
     parts: list[Line | Band | Points] = [
         line(name, colour, numbers, NUMBERS.index(name), start_ns) for name, colour in zip(WEIGHTS, colours, strict=True)
     ]
-    return TimeChart("Other hypotheses, by what they assume (0: as likely as the estimate)", "ln", parts, height=210)
+    return TimeChart("Weight of the other hypotheses (0: as likely)", "ln", parts, height=210)
 
 
 def times(collected: Collected, gathered: Gathered) -> Charts:
