@@ -138,6 +138,8 @@ def _shown(value: Any) -> str:
 _REMOVED = {
     "fault_s": "leave it out: estimator/sources/faults.py has the durations of faults",
     "reset_after_s": "leave it out: consistent fixes win when they are more than those that they contradict",
+    "cusum_slack": "leave it out: 1 sigma is tolerated",
+    "cusum_limit": "leave it out: a source is rejected at 10 sigma of cumulated bias",
     "stuck_s": "leave it out: a reading that is equal to the bit in motion is never used",
 }
 

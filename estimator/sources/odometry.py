@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from estimator.sources.gating import cusum, gate
 from estimator.sources.source import (
+    CUSUM_SLACK,
     Aid,
     GateRules,
     Phase,
@@ -38,6 +39,7 @@ _NEVER = -(2**62)
 _XYZ, _SIX = 3, 6
 _NOT_GIVEN_M2, _NOT_GIVEN_RAD2 = 9e4, 10.0
 _FASTEST_M_S, _FARTHEST_M = 500.0, 1e7
+_CUSUM_LIMIT = 8.0  # sigma
 _MOST_ERRORS = 6  # that stay with a rig
 _LARGEST_ERROR = 100.0  # m or rad
 _FALSE_M, _FALSE_RAD = 1.0, 0.1  # half widths of the box in which a false increment is expected
@@ -69,9 +71,6 @@ class OdometryConfig(GateRules, frozen=True, forbid_unknown_fields=True):
     hold_s: Annotated[
         float, Meta(ge=0, le=1e6, description="s: how long odometry is held off when it contradicts the estimate; 0: never")
     ] = 10.0
-    cusum_limit: Annotated[float, Meta(ge=1e-3, le=1e6, description="sigma: cumulated bias at which the source is rejected")] = (
-        8.0
-    )
     delay_s: Annotated[
         float, Meta(ge=-1, le=5, description="s: stamps are later than validity by this much; below 0: the IMU's are")
     ] = 0.0
@@ -378,8 +377,8 @@ def judged(
         state = replace(state, passed=0, drift_m_s=0.0)
     if not rules.hold_s or state.phase is not Phase.ACTIVE:
         return state
-    sums = cusum(state.sums, np.clip(off, -_CLIP, _CLIP), np.ones(len(off)), rules.cusum_slack)
-    if max(sums) > rules.cusum_limit:
+    sums = cusum(state.sums, np.clip(off, -_CLIP, _CLIP), np.ones(len(off)), CUSUM_SLACK)
+    if max(sums) > _CUSUM_LIMIT:
         drift = max(state.drift_m_s, off_m_s) if alone else 0.0
         return replace(state, phase=Phase.STOPPED, held_until_ns=t_ns + int(rules.hold_s * 1e9), sums=(), drift_m_s=drift)
     return replace(state, sums=sums)

@@ -26,6 +26,7 @@ from models.messages import Array, Reading, Reason
 
 _NEVER = -(2**62)
 _FLOAT = struct.Struct("=d")
+CUSUM_SLACK, _CUSUM_LIMIT = 1.0, 10.0  # sigma: bias of the innovations that is tolerated; the sum at which a source is rejected
 
 
 class GateRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -45,10 +46,6 @@ class GateRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         ),
     ] = 0
     hold_s: Annotated[float, Meta(ge=0, le=1e6, description="s: how long a rejected source is held off; 0: never")] = 0.0
-    cusum_slack: Annotated[float, Meta(ge=1e-3, le=1000, description="sigma: bias of the innovations that is tolerated")] = 1.0
-    cusum_limit: Annotated[float, Meta(ge=1e-3, le=1e6, description="sigma: cumulated bias at which the source is rejected")] = (
-        10.0
-    )
 
 
 class SourceRules(GateRules, frozen=True, forbid_unknown_fields=True):
@@ -321,8 +318,8 @@ class SourceState(msgspec.Struct, frozen=True):
         if state.phase is Phase.STARTING:
             return replace(state, passed=state.passed + 1 if passed else 0)
         if rules.hold_s > 0 and fused and not alone:
-            sums = cusum(state.sums, nu, sigma, rules.cusum_slack)
-            found_out = max(sums) > rules.cusum_limit
+            sums = cusum(state.sums, nu, sigma, CUSUM_SLACK)
+            found_out = max(sums) > _CUSUM_LIMIT
             if state.phase is Phase.ACTIVE and found_out:
                 return replace(state, phase=Phase.STOPPED, held_until_ns=t_ns + int(rules.hold_s * 1e9), sums=())
             return replace(state, sums=sums)

@@ -49,6 +49,13 @@ def test_an_unknown_key_is_named_with_its_nearest_neighbour() -> None:
     )
 
 
+def test_a_key_that_was_removed_is_named_with_what_to_do() -> None:
+    assert message("[filter]\nreset_after_s = 2\n") == (
+        "x.toml: key 'reset_after_s' in [filter] was removed: leave it out: consistent fixes win when they are more than those that they "
+        "contradict"
+    )
+
+
 def test_an_unknown_section_is_named_with_the_list_of_sections() -> None:
     assert message("[fliter]\n") == "x.toml: unknown section [fliter]; did you mean 'filter'? sections: filter, inputs"
     assert message("zzz = 1\n") == "x.toml: unknown section [zzz]; sections: filter, inputs"
