@@ -51,8 +51,8 @@ def test_an_unknown_key_is_named_with_its_nearest_neighbour() -> None:
 
 def test_a_key_that_was_removed_is_named_with_what_to_do() -> None:
     assert message("[filter]\nreset_after_s = 2\n") == (
-        "x.toml: key 'reset_after_s' in [filter] was removed: leave it out: consistent fixes win when they are more than those that they "
-        "contradict"
+        "x.toml: key 'reset_after_s' in [filter] was removed: leave it out: consistent fixes win when they are more than those "
+        "that they contradict"
     )
 
 
