@@ -22,11 +22,11 @@ from estimator.integrity.monitor import Monitor
 from estimator.sources.aids import aid_of
 from estimator.sources.air.drag import drag_aid
 from estimator.sources.air.wind import WIND
-from estimator.sources.held import HeldImu
+from estimator.sources.base.aid import Aid, Refusal
+from estimator.sources.base.held import HeldImu
 from estimator.sources.imu.choice import Choice, ImusConfig, imu_aid
 from estimator.sources.imu.plausibility import sample_refusal
 from estimator.sources.rest import rest_aid
-from estimator.sources.source import Aid, Refusal
 from models import so3, state
 from models.frames import Origin
 from models.messages import (

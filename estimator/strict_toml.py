@@ -136,7 +136,7 @@ def _shown(value: Any) -> str:
 
 
 _REMOVED = {
-    "fault_s": "leave it out: estimator/sources/faults.py has the durations of faults",
+    "fault_s": "leave it out: estimator/sources/base/faults.py has the durations of faults",
     "reset_after_s": "leave it out: consistent fixes win when they are more than those that they contradict",
     "cusum_slack": "leave it out: 1 sigma is tolerated",
     "cusum_limit": "leave it out: a source is rejected at 10 sigma of cumulated bias",

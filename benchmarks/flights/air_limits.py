@@ -27,7 +27,7 @@ from benchmarks.tables import Table, number
 from estimator.fusion import Fusion
 from estimator.sources.air import drag
 from estimator.sources.air.wind import WIND, estimated
-from estimator.sources.source import Aid, SensorRules, order
+from estimator.sources.base.aid import Aid, SensorRules, order
 from models.frames import Origin
 from models.messages import Array
 from models.sim.air import blow

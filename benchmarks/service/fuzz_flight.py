@@ -25,7 +25,7 @@ from estimator.service.base.clock import Clock
 from estimator.service.mavlink.io import Heard
 from estimator.service.mavlink.link import MavlinkLink
 from estimator.service.warm_up import warm_up
-from estimator.sources.source import Refusal
+from estimator.sources.base.aid import Refusal
 from logs.wire.codec import Encoded, encode_input
 from models import state
 from models.messages import AidStatus, Estimate, Input, Output, Reason

@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.sources.faults import MAP_ELSEWHERE, MAP_ELSEWHERE_M
-from estimator.sources.gating import gate
-from estimator.sources.source import Aid
+from estimator.sources.base.aid import Aid
+from estimator.sources.base.faults import MAP_ELSEWHERE, MAP_ELSEWHERE_M
+from estimator.sources.base.gating import gate
 from models.measurements import Measurement, Pose, Position
 from models.messages import Array
 

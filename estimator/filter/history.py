@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from estimator.filter.alignment import NEVER, Decision
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.tracker import Tracker
-from estimator.sources.source import Aid
+from estimator.sources.base.aid import Aid
 from models.messages import ImuSample, Reason
 
 _CHECKPOINT_SAMPLES = 32  # IMU samples between checkpoints: a copy costs about as much as ten samples

@@ -26,8 +26,8 @@ from estimator.filter.hypotheses import innovation
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.slow_errors import NO_SLOW_ERRORS, SlowErrors
 from estimator.sources.air.wind import OF_AIR, WIND
-from estimator.sources.gating import gate
-from estimator.sources.source import Aid
+from estimator.sources.base.aid import Aid
+from estimator.sources.base.gating import gate
 from models import cholesky, imu, so3
 from models.measurements import Measurement, mahalanobis
 from models.messages import Array

@@ -8,7 +8,7 @@ import numpy as np
 from estimator.filter.conflict import Apart
 from estimator.filter.hypotheses import Hypotheses
 from estimator.filter.mismatch import Delays, PathScale, Scatter, delay
-from estimator.sources.source import SourceState
+from estimator.sources.base.machine import SourceState
 
 VOUCHED_NS = 60_000_000_000  # a source that was fused since then is one to compare another with
 _NEW_NS = 1_000_000_000

@@ -27,9 +27,9 @@ from estimator.filter.hypotheses import Hypothesis
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.tracker import Tracker
 from estimator.sources.aids import aid_of
+from estimator.sources.base.aid import Aid
 from estimator.sources.imu.plausibility import sample_refusal
 from estimator.sources.odometry import OdometryAid
-from estimator.sources.source import Aid
 from models import imu, so3
 from models.frames import Origin
 from models.messages import Array, ImuSample, Input

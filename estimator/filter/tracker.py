@@ -29,14 +29,16 @@ from estimator.filter.mismatch import BiasWalk, Delays, PathScale, Scatter, dela
 from estimator.filter.relative import steps
 from estimator.filter.relinearise import Stretch
 from estimator.filter.variance_factor import NO_EXCESS
-from estimator.sources import held, rest
+from estimator.sources import rest
 from estimator.sources.air import drag
 from estimator.sources.air.through_air import AirVelocity, DragForce
+from estimator.sources.base import held
+from estimator.sources.base.aid import Aid, Refusal
+from estimator.sources.base.machine import Phase, SourceState
 from estimator.sources.imu.choice import ImuAid
 from estimator.sources.landmark import position_innovation
 from estimator.sources.odometry import Kept, OdometryAid
 from estimator.sources.rest import Rest, RestConfig
-from estimator.sources.source import Aid, Phase, Refusal, SourceState
 from models import imu, so3
 from models.frames import Origin
 from models.measurements import Conditional, Heading, Measurement, PartialPose, Pose, Position, Velocity

@@ -17,7 +17,7 @@ and left to the hypotheses.
 import math
 from typing import NamedTuple
 
-from estimator.sources.gating import gate
+from estimator.sources.base.gating import gate
 
 _WINDOW, _FEWEST = 7, 5  # readings of a topic
 _USUAL = 0.96  # share of good readings

@@ -5,7 +5,7 @@ from typing import Annotated, TypeAlias
 import msgspec
 from msgspec import Meta
 
-from estimator.sources import faults
+from estimator.sources.base import faults
 
 _Limit: TypeAlias = Annotated[float, Meta(ge=0.1, le=1e6)]
 _Rate: TypeAlias = Annotated[float, Meta(ge=0, le=1e3)]

@@ -14,6 +14,7 @@ from estimator.sources.air.drag import DragConfig
 from estimator.sources.air.wind import WindConfig
 from estimator.sources.attitude import attitude_aid
 from estimator.sources.baro import BaroConfig
+from estimator.sources.base.aid import Aid, Refusal, SensorRules
 from estimator.sources.beacon import BeaconConfig
 from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
 from estimator.sources.heading import HeadingConfig
@@ -23,7 +24,6 @@ from estimator.sources.odometry import OdometryConfig, increment_aid, odometry_p
 from estimator.sources.pose import LandmarkFixConfig, PoseConfig, pose_aid
 from estimator.sources.range import RangeConfig
 from estimator.sources.rest import RestConfig
-from estimator.sources.source import Aid, Refusal, SensorRules
 from estimator.sources.velocity_body import VelocityBodyConfig
 from models.messages import (
     AttitudePrior,

@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 from msgspec.structs import replace
 
+from estimator.sources.base.aid import Aid, Refusal
 from estimator.sources.pose import PoseConfig, given_components, pose_aid
-from estimator.sources.source import Aid, Refusal
 from models.messages import AttitudePrior, PoseFix, Reason
 
 _CONFIG: Final = PoseConfig(tilt_deg=0.0, mount_deg=0.0)

@@ -12,7 +12,7 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
-from estimator.sources.source import Aid, Refusal, SensorRules, SlowError, log_false, order
+from estimator.sources.base.aid import Aid, Refusal, SensorRules, SlowError, log_false, order
 from models.measurements import Height
 from models.messages import Array, Reading, Reason
 from models.state import X

@@ -13,18 +13,9 @@ from typing import Annotated, TypeAlias
 import numpy as np
 from msgspec import Meta
 
-from estimator.sources.source import (
-    FALSE_POSITION_M,
-    FALSE_VELOCITY_M_S,
-    Aid,
-    Refusal,
-    SlowError,
-    SourceRules,
-    covariance_refusal,
-    log_false,
-    order,
-    with_default,
-)
+from estimator.sources.base.aid import FALSE_POSITION_M, FALSE_VELOCITY_M_S, Aid, Refusal, SlowError, log_false, order
+from estimator.sources.base.covariance import covariance_refusal, with_default
+from estimator.sources.base.rules import SourceRules
 from models.frames import Origin
 from models.measurements import Position, Velocity
 from models.messages import GnssFix, GnssVelocity, Reason

@@ -11,7 +11,7 @@ from typing import Annotated, TypeAlias
 import numpy as np
 from msgspec import Meta
 
-from estimator.sources.source import Aid, Refusal, SensorRules, SlowError, log_false, order
+from estimator.sources.base.aid import Aid, Refusal, SensorRules, SlowError, log_false, order
 from models.measurements import Heading
 from models.messages import Reading, Reason
 

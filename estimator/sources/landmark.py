@@ -6,8 +6,9 @@ nu = D (z (-) x) + y,   R = D C D^T,   L <- D L      (C: covariance of the fix, 
 import numpy as np
 from msgspec.structs import replace
 
+from estimator.sources.base.aid import FALSE_POSITION_M, Aid, Refusal, SlowError, log_false, order
+from estimator.sources.base.covariance import covariance_refusal
 from estimator.sources.pose import FARTHEST_M, WHOLE, PoseConfig, lasting, pose_aid, pose_of, slow_errors_of
-from estimator.sources.source import FALSE_POSITION_M, Aid, Refusal, SlowError, covariance_refusal, log_false, order
 from models.measurements import DIRECTION_SCALE, Measurement, PartialPose
 from models.messages import Array, LandmarkFix, Reason
 

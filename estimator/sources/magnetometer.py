@@ -18,7 +18,7 @@ from typing import Annotated, Final, TypeAlias
 import numpy as np
 from msgspec import Meta
 
-from estimator.sources.source import Aid, Refusal, SensorRules, SlowError, log_false, order
+from estimator.sources.base.aid import Aid, Refusal, SensorRules, SlowError, log_false, order
 from models import so3
 from models.earth_field import field_n, year_of
 from models.frames import Origin

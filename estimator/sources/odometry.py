@@ -18,20 +18,11 @@ from msgspec import Meta
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from estimator.sources.gating import cusum, gate
-from estimator.sources.source import (
-    CUSUM_SLACK,
-    Aid,
-    GateRules,
-    Phase,
-    Refusal,
-    SlowError,
-    SourceState,
-    covariance_refusal,
-    log_false,
-    order,
-    with_default,
-)
+from estimator.sources.base.aid import Aid, Refusal, SlowError, log_false, order
+from estimator.sources.base.covariance import covariance_refusal, with_default
+from estimator.sources.base.gating import cusum, gate
+from estimator.sources.base.machine import CUSUM_SLACK, Phase, SourceState
+from estimator.sources.base.rules import GateRules
 from models.messages import Array, OdometryDelta, OdometryPose, Reason
 from models.relative_pose import RelativePose, between
 

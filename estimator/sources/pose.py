@@ -10,18 +10,9 @@ from msgspec import Meta
 from numba import njit
 from numpy.typing import NDArray
 
-from estimator.sources.source import (
-    FALSE_ATTITUDE_RAD,
-    FALSE_POSITION_M,
-    Aid,
-    Refusal,
-    SlowError,
-    SourceRules,
-    covariance_refusal,
-    log_false,
-    order,
-    with_default,
-)
+from estimator.sources.base.aid import FALSE_ATTITUDE_RAD, FALSE_POSITION_M, Aid, Refusal, SlowError, log_false, order
+from estimator.sources.base.covariance import covariance_refusal, with_default
+from estimator.sources.base.rules import SourceRules
 from models import so3
 from models.measurements import Measurement, Pose
 from models.messages import Array, LandmarkFix, PoseFix, Quat, Reason

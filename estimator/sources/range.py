@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from estimator.sources.source import Aid, Refusal, SensorRules, SlowError, log_false, order
+from estimator.sources.base.aid import Aid, Refusal, SensorRules, SlowError, log_false, order
 from models import so3
 from models.measurements import Conditional
 from models.messages import Array, Reading, Reason

@@ -16,8 +16,9 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from estimator.sources.gating import gate
-from estimator.sources.source import Aid, SlowError, SourceRules, asked
+from estimator.sources.base.aid import Aid, SlowError, asked
+from estimator.sources.base.gating import gate
+from estimator.sources.base.rules import SourceRules
 from models import so3
 from models.measurements import Heading
 from models.messages import Array

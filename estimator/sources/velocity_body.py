@@ -14,16 +14,8 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from estimator.sources.source import (
-    FALSE_VELOCITY_M_S,
-    Aid,
-    Refusal,
-    SensorRules,
-    SlowError,
-    covariance_refusal,
-    log_false,
-    order,
-)
+from estimator.sources.base.aid import FALSE_VELOCITY_M_S, Aid, Refusal, SensorRules, SlowError, log_false, order
+from estimator.sources.base.covariance import covariance_refusal
 from models import so3
 from models.messages import Array, Reading, Reason
 from models.state import E, X

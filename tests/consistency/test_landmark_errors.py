@@ -9,8 +9,8 @@ import pytest
 
 from estimator.filter.eskf import Eskf
 from estimator.filter.hypotheses import MOST_OF_A_KIND, innovation
+from estimator.sources.base.aid import Aid
 from estimator.sources.pose import LandmarkFixConfig, pose_aid
-from estimator.sources.source import Aid
 from models.imu import Coast, ImuNoise, constants
 from models.messages import Array, LandmarkFix, vec3
 from models.state import E, X

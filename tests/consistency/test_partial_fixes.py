@@ -12,9 +12,9 @@ import pytest
 
 from estimator.filter.eskf import Eskf
 from estimator.filter.hypotheses import innovation
+from estimator.sources.base.aid import Aid
 from estimator.sources.landmark import landmark_aid
 from estimator.sources.pose import LandmarkFixConfig
-from estimator.sources.source import Aid
 from models import so3
 from models.imu import Coast, ImuNoise, constants
 from models.measurements import PartialPose

@@ -8,8 +8,8 @@ import numpy as np
 
 from estimator.config import parse
 from estimator.fusion import Fusion, FusionConfig
+from estimator.sources.base.aid import Aid
 from estimator.sources.pose import PoseConfig, pose_aid
-from estimator.sources.source import Aid
 from models import so3
 from models.messages import AidStatus, Array, Estimate, Health, ImuSample, Input, Mode, PoseFix, Reason, Reset, Vec3, vec3
 from models.radius import reach

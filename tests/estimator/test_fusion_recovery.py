@@ -15,7 +15,7 @@ from estimator.filter.history import History
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.tracker import Tracker
 from estimator.fusion import Fusion, FusionConfig
-from estimator.sources.source import Aid
+from estimator.sources.base.aid import Aid
 from models.messages import AttitudePrior, GnssFix, GnssVelocity, ImuSample, Input, Mode, PoseFix, Reason
 from models.sim.scenario import EPOCH_NS
 from models.state import E, X

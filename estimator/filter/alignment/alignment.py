@@ -24,9 +24,10 @@ from estimator.filter.hypotheses import Hypotheses
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.relinearise import Stretch, relinearise
 from estimator.filter.variance_factor import LARGEST, LARGEST_AT_FIRST, NO_EXCESS
-from estimator.sources.gating import gate
+from estimator.sources.base.aid import Aid
+from estimator.sources.base.gating import gate
+from estimator.sources.base.machine import Phase
 from estimator.sources.imu.plausibility import Plausibility, stream_plausibility
-from estimator.sources.source import Aid, Phase
 from models import imu, so3
 from models.measurements import Heading, Measurement, Pose, Position, Velocity
 from models.messages import Array, Reason

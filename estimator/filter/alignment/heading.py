@@ -24,8 +24,8 @@ from estimator.filter.alignment.initialise import InitialiseConfig, Level
 from estimator.filter.eskf import Eskf
 from estimator.filter.hypotheses import Hypotheses
 from estimator.filter.relinearise import Stretch
-from estimator.sources.gating import gate
-from estimator.sources.source import Aid
+from estimator.sources.base.aid import Aid
+from estimator.sources.base.gating import gate
 from models import so3
 from models.frames import GRAVITY
 from models.measurements import Measurement, Pose, Position, Velocity

@@ -22,8 +22,8 @@ from msgspec import Meta
 
 from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.hypotheses import Hypotheses, Hypothesis, innovation, ln_sum
-from estimator.sources.gating import gate
-from estimator.sources.source import Aid
+from estimator.sources.base.aid import Aid
+from estimator.sources.base.gating import gate
 from models import so3
 from models.frames import GRAVITY
 from models.measurements import Heading, Measurement, Pose, Position

@@ -43,9 +43,9 @@ from estimator.filter.hypotheses.hypothesis import FORGET, Doubt, Hypothesis
 from estimator.filter.hypotheses.innovation import innovation
 from estimator.filter.hypotheses.left_out import LEFT_OUT_S
 from estimator.filter.hypotheses.mixture import covariance, ln_sum
-from estimator.sources.faults import lasts_s
-from estimator.sources.gating import gate
-from estimator.sources.source import Aid
+from estimator.sources.base.aid import Aid
+from estimator.sources.base.faults import lasts_s
+from estimator.sources.base.gating import gate
 from models import imu
 from models.measurements import Measurement, mahalanobis
 from models.messages import Array

@@ -3,7 +3,7 @@
 from estimator.filter.eskf import Eskf, Innovation
 from estimator.sources.air.through_air import AirVelocity, DragForce, is_scale
 from estimator.sources.air.wind import WIND
-from estimator.sources.source import Aid
+from estimator.sources.base.aid import Aid
 from models.measurements import Measurement
 from models.messages import Array
 from models.relative_pose import RelativePose

@@ -18,7 +18,7 @@ import numpy as np
 from estimator.filter.eskf import Innovation
 from estimator.filter.hypotheses.hypothesis import Doubt, Hypothesis
 from estimator.filter.hypotheses.innovation import innovation
-from estimator.sources.source import Aid
+from estimator.sources.base.aid import Aid
 from models.measurements import Measurement
 from models.messages import Array
 from models.state import E

@@ -21,7 +21,7 @@ from msgspec.structs import replace
 
 from estimator.filter import contradiction
 from estimator.filter.eskf import Innovation
-from estimator.sources.gating import gate
+from estimator.sources.base.gating import gate
 from models.imu import ImuNoise
 from models.messages import Array
 

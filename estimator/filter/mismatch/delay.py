@@ -27,7 +27,7 @@ from msgspec.structs import replace
 
 from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.hypotheses import Hypothesis
-from estimator.sources.source import Aid, SlowError
+from estimator.sources.base.aid import Aid, SlowError
 from models import cholesky, so3
 from models.frames import GRAVITY
 from models.measurements import Measurement, PartialPose, Pose, Position, Velocity

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.sources.source import Aid
+from estimator.sources.base.aid import Aid
 from models.measurements import Measurement, Pose, Position
 from models.messages import Array
 

@@ -12,7 +12,7 @@ import math
 from typing import NamedTuple
 
 from estimator.filter.eskf import Innovation
-from estimator.sources.gating import gate
+from estimator.sources.base.gating import gate
 from models.measurements import mahalanobis
 from models.messages import Array
 

@@ -18,9 +18,9 @@ from msgspec.structs import replace
 from estimator.filter.eskf import Innovation
 from estimator.filter.hypotheses import Hypotheses, clone_of, innovation
 from estimator.sources import odometry
-from estimator.sources.gating import gate
+from estimator.sources.base.gating import gate
+from estimator.sources.base.machine import Phase, SourceState
 from estimator.sources.odometry import Begins, Increment, Kept, OdometryAid, Posed
-from estimator.sources.source import Phase, SourceState
 from models.messages import Reason
 
 _MOST_SAID = 0.5  # ln: c

@@ -14,7 +14,7 @@ from msgspec import Meta
 
 from estimator.sources.air.through_air import AirVelocity, density_ratio, scale_of
 from estimator.sources.air.wind import WindConfig, estimated, wind_errors
-from estimator.sources.source import FALSE_VELOCITY_M_S, Aid, Refusal, SensorRules, SlowError, log_false, order
+from estimator.sources.base.aid import FALSE_VELOCITY_M_S, Aid, Refusal, SensorRules, SlowError, log_false, order
 from models.frames import Origin
 from models.messages import Reading, Reason
 

@@ -15,7 +15,8 @@ from msgspec.structs import replace
 
 from estimator.sources.air.through_air import SEA_LEVEL_KG_M3, DragForce, scale_of
 from estimator.sources.air.wind import WindConfig, estimated, wind_errors
-from estimator.sources.source import FALSE_VELOCITY_M_S, Aid, SourceRules, asked
+from estimator.sources.base.aid import FALSE_VELOCITY_M_S, Aid, asked
+from estimator.sources.base.rules import SourceRules
 from models.frames import GRAVITY
 from models.messages import Array
 

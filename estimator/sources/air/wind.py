@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from estimator.sources.source import SlowError
+from estimator.sources.base.aid import SlowError
 from models import so3
 from models.messages import Array
 from models.state import X

@@ -31,8 +31,9 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from estimator.sources.base.aid import Aid, order
+from estimator.sources.base.rules import GateRules
 from estimator.sources.imu.stream import BLOCK_NS, Stream
-from estimator.sources.source import Aid, GateRules, order
 from models.messages import Array, ImuSample
 
 KIND = "imu"

@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.sources.source import Phase, Refusal
+from estimator.sources.base.aid import Refusal
+from estimator.sources.base.machine import Phase
 from models.messages import Array, ImuSample, Reason
 
 _FASTEST_RAD_S = 100.0  # beyond any MEMS gyroscope (5700 deg/s)

@@ -9,7 +9,7 @@ from estimator.config import Config
 from estimator.fusion import Fusion
 from estimator.replay.summary import SummaryBuilder
 from estimator.sources.aids import aid_of
-from estimator.sources.source import Aid, Refusal
+from estimator.sources.base.aid import Aid, Refusal
 from estimator.tools.doctor.machine import Check, judge
 from logs.findings import Stream, findings
 from logs.store.reader import LogError, LogReader

@@ -21,8 +21,8 @@ import numpy as np
 from estimator.config import Config, parse
 from estimator.frontend.requests import prior_at
 from estimator.fusion import Fusion
+from estimator.sources.base.aid import FALSE_ATTITUDE_RAD, FALSE_POSITION_M
 from estimator.sources.pose import given_components
-from estimator.sources.source import FALSE_ATTITUDE_RAD, FALSE_POSITION_M
 from estimator.tools.fleet.store import local_path
 from logs.evaluation.trajectory import POSE_TYPES, Trajectory, decode
 from logs.store.reader import LogError, LogReader

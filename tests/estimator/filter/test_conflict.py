@@ -8,8 +8,8 @@ import pytest
 from msgspec.structs import replace
 
 from estimator.filter.conflict import Apart, Conflicts
+from estimator.sources.base.aid import Aid
 from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
-from estimator.sources.source import Aid
 from models.frames import Origin
 from models.measurements import Measurement
 from models.messages import GnssFix, GnssVelocity, PoseFix

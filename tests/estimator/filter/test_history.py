@@ -14,8 +14,8 @@ from estimator.filter.history import History
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.tracker import Tracker
 from estimator.fusion import EstimatorConfig, Fusion, FusionConfig
+from estimator.sources.base.aid import Aid
 from estimator.sources.pose import PoseConfig
-from estimator.sources.source import Aid
 from logs.wire.codec import encode
 from models.imu import Coast, ImuNoise
 from models.messages import AidStatus, Estimate, GnssFix, Health, ImuSample, Input, PoseFix, Reason, Tick

@@ -12,7 +12,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from estimator.filter.alignment import InitialiseConfig, TrackerConfig
 from estimator.filter.history import History
 from estimator.filter.tracker import Tracker
-from estimator.sources.source import Aid
+from estimator.sources.base.aid import Aid
 from models.imu import Coast, ImuNoise
 from models.messages import ImuSample, Reason
 from models.sim.scenario import EPOCH_NS

@@ -13,9 +13,9 @@ from estimator.filter.eskf import Eskf
 from estimator.filter.hypotheses import Doubt, Hypotheses, Hypothesis
 from estimator.filter.hypotheses.hypotheses import AGAIN_S
 from estimator.fusion import Fusion, FusionConfig
-from estimator.sources.faults import lasts_s
+from estimator.sources.base.aid import Aid
+from estimator.sources.base.faults import lasts_s
 from estimator.sources.gnss import GnssConfig, velocity_aid
-from estimator.sources.source import Aid
 from models.imu import Coast, ImuNoise, constants
 from models.messages import Array, Estimate, GnssVelocity, ImuSample, Input, Reason, Vec3, vec3
 from models.sim.scenario import EPOCH_NS

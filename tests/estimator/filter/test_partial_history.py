@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from estimator.filter.smoother import smooth
-from estimator.sources.gating import gate
+from estimator.sources.base.gating import gate
 from models.messages import AidStatus, Array, ImuSample, Input, LandmarkFix, Mode, PoseFix, Reason, vec3
 from models.sim.scenario import EPOCH_NS, Simulation
 from tests.estimator.partial import in_part, not_measured, orthonormal, point_rows

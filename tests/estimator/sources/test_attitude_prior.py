@@ -11,7 +11,7 @@ from estimator.config import parse
 from estimator.filter.alignment.initialise import InitialiseConfig, agrees, start_from_pose
 from estimator.fusion import Fusion, FusionConfig
 from estimator.sources.aids import aid_of
-from estimator.sources.source import Aid, Refusal
+from estimator.sources.base.aid import Aid, Refusal
 from logs.importers import dataflash
 from logs.importers.recording import Truth
 from models import so3

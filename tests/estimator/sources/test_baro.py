@@ -7,7 +7,7 @@ import pytest
 
 from estimator.sources.aids import SourcesConfig, aid_of
 from estimator.sources.baro import BaroConfig, height_m
-from estimator.sources.source import Aid, Refusal
+from estimator.sources.base.aid import Aid, Refusal
 from models.measurements import Height
 from models.messages import Reading, Reason
 

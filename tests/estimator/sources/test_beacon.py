@@ -5,8 +5,8 @@ import pytest
 
 from estimator.filter.eskf import Eskf
 from estimator.sources.aids import SourcesConfig, aid_of
+from estimator.sources.base.aid import Aid, Refusal
 from estimator.sources.beacon import BeaconConfig, BeaconRange
-from estimator.sources.source import Aid, Refusal
 from models import so3
 from models.imu import Coast, ImuNoise, constants
 from models.messages import Array, Reading, Reason

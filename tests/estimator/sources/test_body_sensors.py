@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from estimator.sources.aids import SourcesConfig, aid_of
+from estimator.sources.base.aid import Aid, Refusal
 from estimator.sources.range import RangeConfig
-from estimator.sources.source import Aid, Refusal
 from estimator.sources.velocity_body import VelocityBodyConfig
 from models import so3
 from models.messages import Array, Reading, Reason

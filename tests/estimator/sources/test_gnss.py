@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from estimator.sources.base.aid import Aid, Refusal
 from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
-from estimator.sources.source import Aid, Refusal
 from models.frames import Origin
 from models.measurements import Position, Velocity
 from models.messages import Array, GnssFix, GnssVelocity, Reason

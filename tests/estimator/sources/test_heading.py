@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from estimator.sources.aids import SourcesConfig, aid_of
+from estimator.sources.base.aid import Aid, Refusal
 from estimator.sources.heading import HeadingConfig
-from estimator.sources.source import Aid, Refusal
 from models import so3
 from models.measurements import Heading
 from models.messages import Array, Reading, Reason

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from estimator.sources.aids import aid_of
+from estimator.sources.base.aid import FALSE_POSITION_M, Aid, Refusal
 from estimator.sources.landmark import landmark_aid
 from estimator.sources.pose import LandmarkFixConfig, PoseConfig, pose_aid
-from estimator.sources.source import FALSE_POSITION_M, Aid, Refusal
 from models import so3
 from models.measurements import DIRECTION_SCALE, PartialPose, Pose
 from models.messages import Array, LandmarkFix, Reason

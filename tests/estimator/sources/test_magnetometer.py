@@ -7,8 +7,8 @@ import pytest
 from msgspec.structs import replace
 
 from estimator.sources.aids import SourcesConfig, aid_of
+from estimator.sources.base.aid import Aid, Refusal
 from estimator.sources.magnetometer import MagnetometerConfig
-from estimator.sources.source import Aid, Refusal
 from models import so3
 from models.earth_field import field_n, year_of
 from models.measurements import Heading

@@ -8,8 +8,9 @@ import pytest
 
 from estimator.sources import odometry
 from estimator.sources.aids import SourcesConfig, aid_of
+from estimator.sources.base.aid import Refusal
+from estimator.sources.base.machine import Phase, SourceState
 from estimator.sources.odometry import Increment, Kept, OdometryAid, OdometryConfig, Posed
-from estimator.sources.source import Phase, Refusal, SourceState
 from models.messages import OdometryDelta, OdometryPose, Reason
 
 SECOND = 10**9

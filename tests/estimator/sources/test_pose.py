@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from estimator.sources.base.aid import Aid, Refusal, SlowError
 from estimator.sources.landmark import landmark_aid
 from estimator.sources.pose import LandmarkFixConfig, PoseConfig, given_components, pose_aid
-from estimator.sources.source import Aid, Refusal, SlowError
 from models import so3
 from models.measurements import Pose
 from models.messages import Array, LandmarkFix, PoseFix, Quat, Reason

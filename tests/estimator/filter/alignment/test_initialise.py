@@ -16,8 +16,8 @@ from estimator.filter.alignment.initialise import (
     weigh,
 )
 from estimator.fusion import Fusion, FusionConfig
+from estimator.sources.base.aid import Aid
 from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
-from estimator.sources.source import Aid
 from models import so3
 from models.frames import GRAVITY, Origin
 from models.imu import Coast, ImuNoise, constants

@@ -9,8 +9,8 @@ from msgspec.structs import replace
 
 from estimator.filter.eskf import Eskf
 from estimator.filter.hypotheses import Doubt, Hypotheses, Hypothesis
+from estimator.sources.base.aid import Aid
 from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
-from estimator.sources.source import Aid
 from models.frames import Origin
 from models.imu import Coast, ImuNoise, constants
 from models.measurements import Measurement

@@ -8,9 +8,9 @@ import pytest
 from msgspec.structs import replace
 
 from estimator.filter.mismatch.path_scale import Moments, PathScale
+from estimator.sources.base.aid import Aid
 from estimator.sources.gnss import GnssConfig, position_aid
 from estimator.sources.pose import PoseConfig, pose_aid
-from estimator.sources.source import Aid
 from models.frames import Origin
 from models.messages import Array, GnssFix, Input, PoseFix, Reason, vec3
 from models.sim.scenario import EPOCH_NS

@@ -7,8 +7,8 @@ from estimator.filter.hypotheses import Hypotheses, Hypothesis, clone_of
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.relative import steps
 from estimator.sources.aids import SourcesConfig, aid_of
+from estimator.sources.base.machine import Phase, SourceState
 from estimator.sources.odometry import OdometryAid, OdometryConfig
-from estimator.sources.source import Phase, SourceState
 from models import imu
 from models.imu import Coast, ImuNoise
 from models.measurements import Position

@@ -8,7 +8,7 @@ from estimator.sources.air.airspeed import AirspeedConfig
 from estimator.sources.air.drag import DragConfig, drag_aid, felt
 from estimator.sources.air.through_air import AirVelocity
 from estimator.sources.air.wind import GUST, WIND, WindConfig
-from estimator.sources.source import Aid, Refusal
+from estimator.sources.base.aid import Aid, Refusal
 from models.frames import Origin
 from models.messages import Array, Reading, Reason
 

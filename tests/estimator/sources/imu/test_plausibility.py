@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from estimator.sources.base.machine import Phase
 from estimator.sources.imu.plausibility import sample_refusal, stream_plausibility
-from estimator.sources.source import Phase
 from models.frames import GRAVITY
 from models.messages import Array, ImuSample, Reason, Vec3, vec3
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from estimator.sources.source import Refusal
+from estimator.sources.base.aid import Refusal
 from estimator.tools.doctor.log import _stream, _Topic
 from estimator.tools.doctor.machine import State
 from models.messages import Reading, Reason

@@ -7,7 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.sources.source import Phase, SourceRules, SourceState, covariance_refusal, log_false, order
+from estimator.sources.base.aid import log_false, order
+from estimator.sources.base.covariance import covariance_refusal
+from estimator.sources.base.machine import Phase, SourceState
+from estimator.sources.base.rules import SourceRules
 from models.messages import Array, Reason
 
 SECOND = 10**9

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from estimator.sources.gating import cusum, gate
+from estimator.sources.base.gating import cusum, gate
 from models.messages import Array
 
 SLACK, LIMIT = 1.0, 10.0

@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from estimator.sources.held import HeldImu
+from estimator.sources.base.held import HeldImu
 from models.messages import GnssFix, GnssVelocity, ImuSample, Input, Mode, PoseFix, Reason, Vec3
 from models.sim.scenario import EPOCH_NS, Simulation
 from tests.estimator.scenes import SECOND, fly, position_errors, simulated

@@ -1,0 +1,70 @@
+"""The covariance that a message gives: what stands for an unknown one, and why it is none."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+
+from estimator.sources.base.aid import Refusal
+from models.messages import Array, Reason
+
+
+def with_default(cov: Array, sigmas: Sequence[float] | Array) -> tuple[Array, bool]:
+    """The covariance (k, k) with sigma_i^2 where nothing is known of component i, and whether there was such a component.
+
+    Nothing is known where the whole row and column are 0: half of the drivers say "unknown" so (ROS COVARIANCE_TYPE_UNKNOWN,
+    ArduPilot's GPA, PX4's eph, MAVLink's h_acc of 0), and nobody measures without error.
+    """
+    if cov.shape != (len(sigmas), len(sigmas)) or cov.diagonal().all():  # nearly every call
+        return cov, False
+    unknown = ~(cov.any(axis=0) | cov.any(axis=1))
+    return cov + np.diag(np.where(unknown, np.square(sigmas), 0.0)), bool(unknown.any())
+
+
+_FLAWS = {
+    1: Refusal(Reason.NOT_FINITE, "covariance"),
+    2: Refusal(Reason.NOT_PSD, "a variance is not positive"),
+    3: Refusal(Reason.NOT_PSD, "covariance is not symmetric"),
+    4: Refusal(Reason.NOT_PSD, "covariance is not positive definite"),
+}
+_ASYMMETRY, _SMALLEST_PIVOT = 1e-6, 1e-12  # of the correlation matrix
+
+
+def covariance_refusal(cov: Array, size: int | None = None) -> Refusal | None:
+    """Why `cov` (k, k) is no covariance: not finite, asymmetric or not positive definite; None where it is one.
+
+    size: the k that is wanted, where it is not known yet that the array has it.
+    """
+    if size is not None and cov.shape != (size, size):
+        return Refusal(Reason.MALFORMED, f"covariance: {size} x {size} is expected")
+    return _FLAWS.get(_flaw(np.ascontiguousarray(cov)))
+
+
+@njit(cache=True)
+def _flaw(cov: Array) -> int:
+    """The first flaw of a covariance, a key of _FLAWS, or 0: Cholesky of the correlation matrix."""
+    n = cov.shape[0]
+    for i in range(n):
+        for j in range(n):
+            if not math.isfinite(cov[i, j]):
+                return 1
+    for i in range(n):
+        if not cov[i, i] > 0.0:
+            return 2
+    low = np.zeros((n, n))
+    for i in range(n):
+        for j in range(i + 1):
+            scale = math.sqrt(cov[i, i]) * math.sqrt(cov[j, j])
+            if abs(cov[i, j] - cov[j, i]) > _ASYMMETRY * scale:
+                return 3
+            total = cov[i, j] / scale
+            for k in range(j):
+                total -= low[i, k] * low[j, k]
+            if i == j:
+                if total < _SMALLEST_PIVOT:
+                    return 4
+                low[i, i] = math.sqrt(total)
+            else:
+                low[i, j] = total / low[j, j]
+    return 0

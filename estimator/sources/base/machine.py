@@ -1,0 +1,96 @@
+"""The state machine of a source.
+
+    stopped --(first measurement)--> starting --(probation passed)--> active --(silence, or a fault)--> stopped
+
+The machine is a value in the tracker's checkpoint and reads times of validity only, so a replayed past is judged the same.
+"""
+
+import math
+from enum import StrEnum
+
+import msgspec
+from msgspec.structs import replace
+
+from estimator.sources.base.gating import cusum
+from estimator.sources.base.rules import GateRules
+from models.messages import Array
+
+_NEVER = -(2**62)
+CUSUM_SLACK, _CUSUM_LIMIT = 1.0, 10.0  # sigma: bias of the innovations that is tolerated; the sum at which a source is rejected
+
+
+class Phase(StrEnum):
+    """How far a source is trusted."""
+
+    STOPPED = "stopped"
+    STARTING = "starting"
+    ACTIVE = "active"
+
+
+class SourceState(msgspec.Struct, frozen=True):
+    """The machine of one source."""
+
+    phase: Phase = Phase.STOPPED
+    last_ns: int = _NEVER  # newest measurement
+    silent_ns: int = _NEVER  # so long without another, and the source has stopped
+    fused_ns: int = _NEVER
+    passed: int = 0  # in a row, while starting
+    held_until_ns: int = _NEVER
+    sums: tuple[float, ...] = ()
+    drift_m_s: float = 0.0  # of odometry that has contradicted the IMU with nobody to decide: by so much it may be wrong
+    failed_ns: int = _NEVER  # first gate that failed since the last reading that was fused
+    is_refuted: bool = False  # gates failed for longer than hold_s, while positions confirmed the estimate
+    spread_m: tuple[float, float] = (math.inf, 0.0)  # of odometry: smallest and largest sigma of late, fading since last_ns
+
+    def arrive(self, rules: GateRules, t_ns: int, *, alone: bool) -> "SourceState":
+        """A measurement of t_ns comes in; alone: no other absolute source is active, so there is no independent source.
+
+        Alone, a sensor that has been refuted stays stopped: the estimate's covariance grows, until anything passes the gate.
+        """
+        phase, passed, sums = self.phase, self.passed, self.sums
+        if alone and self.is_refuted:
+            phase = Phase.STOPPED
+        elif t_ns > self.silent_ns or (phase is Phase.STOPPED and t_ns >= self.held_until_ns):
+            phase, passed, sums = Phase.STARTING, 0, ()
+        if phase is Phase.STARTING and (passed >= rules.probation or (alone and t_ns >= self.held_until_ns)):
+            phase = Phase.ACTIVE
+        silent_ns = t_ns + round(rules.timeout_s * 1e9)
+        return SourceState(
+            phase,
+            t_ns,
+            silent_ns,
+            self.fused_ns,
+            passed,
+            self.held_until_ns,
+            sums,
+            failed_ns=self.failed_ns,
+            is_refuted=self.is_refuted,
+        )
+
+    def phase_at(self, t_ns: int) -> Phase:
+        """How far the source is trusted at t_ns, with nothing newer from it than this state knows of."""
+        return Phase.STOPPED if t_ns > self.silent_ns else self.phase
+
+    def held(self, rules: GateRules, t_ns: int, *, alone: bool = True) -> "SourceState":
+        """A reading failed: one that passes soon after does so by chance, of a sensor that is stuck or late."""
+        hold_ns, since_ns = round(rules.hold_s * 1e9), max(self.failed_ns, 0) or t_ns
+        is_refuted = self.is_refuted or (not alone and 0 < hold_ns < t_ns - since_ns)
+        return replace(self, phase=Phase.STOPPED, held_until_ns=t_ns + hold_ns, failed_ns=since_ns, is_refuted=is_refuted)
+
+    def judge(
+        self, rules: GateRules, t_ns: int, *, alone: bool, passed: bool, fused: bool, nu: Array, sigma: Array
+    ) -> "SourceState":
+        """The measurement passed its gate or not, was fused or not.
+
+        A drift is the source's only where an independent source agrees with the filter: alone, the filter may be what drifts.
+        """
+        state = replace(self, fused_ns=t_ns, failed_ns=_NEVER, is_refuted=False) if fused else self
+        if state.phase is Phase.STARTING:
+            return replace(state, passed=state.passed + 1 if passed else 0)
+        if rules.hold_s > 0 and fused and not alone:
+            sums = cusum(state.sums, nu, sigma, CUSUM_SLACK)
+            found_out = max(sums) > _CUSUM_LIMIT
+            if state.phase is Phase.ACTIVE and found_out:
+                return replace(state, phase=Phase.STOPPED, held_until_ns=t_ns + int(rules.hold_s * 1e9), sums=())
+            return replace(state, sums=sums)
+        return state
