@@ -158,7 +158,8 @@ class Hypotheses:
         follower = self._follower(aid, z, gyro_b, limit, vouched) if aid.absolute and not any(passed) and not set_aside else None
         born: list[Hypothesis] = []
         anew = aid.absolute and not set_aside and not passed[0] and aid.topic not in self.members[0].doubts
-        agreement = self._agreement(aid, seen, passed)
+        again_s = self._again_s(aid, vouched=vouched)
+        agreement = self._agreement(aid, seen, passed, again_s)
         doubted = self._doubted(aid, agreement)
         # A receiver is right or wrong in both: where its positions are doubted, its velocities are no evidence.
         by_receiver = self._predicted([j for j, m in enumerate(self.members) if aid.receiver not in m.doubts], seen)
@@ -266,7 +267,7 @@ class Hypotheses:
             member.weight -= top
         self.members = possible
 
-    def _agreement(self, aid: Aid, seen: list[Innovation], passed: list[bool]) -> list[float | None]:
+    def _agreement(self, aid: Aid, seen: list[Innovation], passed: list[bool], again_s: float) -> list[float | None]:
         """ln of the evidence that a hypothesis, which took the source's last reading for false, sees the same falsehood again.
 
         The hypotheses that take the source for true predict its next reading, each with its weight: so the others never gain on
@@ -276,9 +277,9 @@ class Hypotheses:
         doubts = [m.doubts.get(aid.topic) for m in self.members]
         if not any(doubts):  # most of the time
             return [None] * len(doubts)
-        again_s = lasts_s(aid.kind)
+        lasts = lasts_s(aid.kind)
         fades = [
-            -(aid.t_ns - doubt.last_ns) * 1e-9 / (AGAIN_S if aid.absolute and not doubt.deliberate else again_s) if doubt else 0.0
+            -(aid.t_ns - doubt.last_ns) * 1e-9 / (again_s if aid.absolute and not doubt.deliberate else lasts) if doubt else 0.0
             for doubt in doubts
         ]
         believe = [j for j, doubt in enumerate(doubts) if passed[j] and doubt is None]
@@ -419,9 +420,16 @@ class Hypotheses:
         """ln, by how much what contradicts the leading hypothesis begins behind it: refused fixes make it up while they last."""
         lead = self.members[0]
         holds_s = lead.holds_s(aid.t_ns, imu_may_be_wrong=by_imu)
-        if vouched and not lead.doubts.keys() - {aid.topic}:  # another source confirms it
+        again_s = self._again_s(aid, vouched=vouched)
+        if again_s > AGAIN_S:  # another source confirms it
             holds_s = max(holds_s, min((lead.fused_ns - lead.run_ns) * 1e-9, _CONFIRMED_S))
-        return _MARGIN - holds_s / AGAIN_S
+        return _MARGIN - holds_s / again_s
+
+    def _again_s(self, aid: Aid, *, vouched: bool) -> float:
+        """The leading hypothesis loses 1 / this, ln, in a second of fixes that it refuses: less where another confirms it."""
+        own = f"{aid.topic}/"  # velocities of the same receiver
+        others = any(topic != aid.topic and not topic.startswith(own) for topic in self.members[0].doubts)
+        return max(lasts_s(aid.kind), AGAIN_S) if vouched and not others else AGAIN_S
 
     def _trust_imu_again(self, t_ns: int) -> None:
         """The leading hypothesis takes the IMU for wrong: from its newest fix on another one takes it for right again."""
