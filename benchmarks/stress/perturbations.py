@@ -30,6 +30,7 @@ RECTIFIED = 0.03  # offset of the accelerometer per RMS of the vibration
 BOOT_S = 20.0  # a receiver is wrong from boot, the first true fix comes now
 HELD_EVERY_S = 15.0
 ALIKE_M, ALIKE_DEG = 12.0, 5.0  # offset of look-alikes, and of their heading
+_TINY_S = 1e-9
 JAM_M, JAM_M_S = 25.0, 4.0  # noise of a jammed receiver, at full strength
 BIAS_DEG_S, BIAS_M_S2 = 1.0, 0.6  # of an IMU that is biased for a while, at size 1
 BIASED_S = 5.0
@@ -311,7 +312,7 @@ def gnss_frozen(flight: Flight, size: float, rng: Rng) -> list[Input]:
 def gnss_jammed(flight: Flight, size: float, rng: Rng) -> list[Input]:
     """From ONSET_S on noise of JAM_M and JAM_M_S, growing over size seconds, for twice as long; the accuracy stays as it was."""
     t_s = _since_onset(flight)
-    strength = np.where((t_s >= 0.0) & (t_s < 2.0 * size), np.clip(t_s / size, 0.0, 1.0), 0.0)[:, None]
+    strength = np.where((t_s >= 0.0) & (t_s < 2.0 * size), np.clip(t_s / max(size, _TINY_S), 0.0, 1.0), 0.0)[:, None]
     noise = rng.standard_normal((2, len(t_s), 3))
     return _gnss(flight, JAM_M * strength * noise[0], JAM_M_S * strength * noise[1])
 
