@@ -118,13 +118,18 @@ def clock_step(stream: Stream, others: list[Stream]) -> tuple[str, float, str] |
 
 
 def frozen_axis(stream: Stream) -> tuple[str, float, str] | None:
-    """One axis repeats its value to the bit for > 2 s, while in that time more than half of the samples of another change."""
+    """An axis that lived repeats its value to the bit for > 2 s, while most samples of another axis of its sensor change.
+
+    It lived where it has changed before: a simulation without noise in a plane has axes that read 0 from beginning to end.
+    """
     if not stream.imu.size:
         return None
     same = np.diff(stream.imu, axis=0) == 0.0
     for axis, name in enumerate(_AXES):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], same[:, axis], [False]]).astype(int)))
         for first, last in edges.reshape(-1, 2).tolist():
+            if not first:
+                continue
             long_s = stream.arrived_s[last] - stream.arrived_s[first]
             sensor = slice(0, 3) if axis < 3 else slice(3, 6)
             if long_s > _FROZEN_S and np.mean(same[first:last, sensor], axis=0).min() < 1.0 - _LIVELY:
