@@ -30,6 +30,7 @@ from estimator.commands.map import app as map_command
 from estimator.commands.vision import bench, locate, measure, overlay
 from estimator.version import version
 
+FLY, LOGS, MAPS, PHOTOS, CALIBRATION, MORE = PANELS = ("Fly", "Logs", "Maps", "Photos", "Calibration", "More")
 _OURS = frozenset({"estimator", "logs", "models", "vision", "calib"})
 
 
@@ -47,6 +48,16 @@ class OneLineErrors(TyperGroup):
                 raise
             typer.echo(f"landfix: {one_line(error)}", err=True)
             raise typer.Exit(1) from None
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002  (as click calls it)
+        """The commands of the help, one section a panel."""
+        width = max(map(len, self.commands))
+        for panel in PANELS:
+            shown = [(name, command) for name, command in self.commands.items() if command.rich_help_panel == panel]  # type: ignore[attr-defined]
+            with formatter.section(panel):
+                formatter.write_dl(
+                    [(name.ljust(width), command.get_short_help_str(formatter.width - width - 6)) for name, command in shown]
+                )
 
 
 def one_line(error: Exception) -> str:
@@ -96,27 +107,33 @@ def _landfix(
         os.environ["LANDFIX_DEBUG"] = "1"
 
 
-app.command("demo")(demo.command)
-app.command("replay")(replay.command)
-app.command("run", short_help="Run the estimator in flight.")(run.command)
-app.command("monitor", short_help="Watch a running daemon: mode, position, 95 % radius, sources.")(monitor.command)
-app.command("evaluate", short_help="Evaluate an estimate against truth, or compare several.")(evaluate.command)
-app.command("report", short_help="Write a report of a flight as one HTML page.")(report.command)
-app.command("export")(export.command)
-app.command("overlay")(overlay.command)
-app.command("live", short_help="Show a running daemon, or play a log, in Foxglove.")(live.command)
-app.command("tune")(tune.command)
-app.add_typer(fleet.app, name="fleet", short_help="Replay and evaluate many logs, compare two runs.")
-app.command("simulate")(simulate.command)
-app.command("import")(import_command.command)
-app.add_typer(map_command.app, name="map")
-app.command("forecast", short_help="Predict the 95 % radius along a route without GPS.")(forecast.command)
-app.command("recover")(recover.command)
-app.command("doctor")(doctor.command)
-app.add_typer(calibrate.app, name="calibrate", short_help="Calibrate cameras, stereo rigs and IMUs.")
-app.command("measure")(measure.command)
-app.command("locate", short_help="Locate the vehicle from photos, a video or a stereo pair.")(locate.command)
-app.add_typer(bench.app, name="bench")
+app.command("run", short_help="Run the estimator in flight.", rich_help_panel=FLY)(run.command)
+app.command("monitor", short_help="Watch a running daemon: mode, position, 95 % radius, sources.", rich_help_panel=FLY)(
+    monitor.command
+)
+app.command("live", short_help="Show a running daemon, or play a log, in Foxglove.", rich_help_panel=FLY)(live.command)
+app.command("forecast", short_help="Predict the 95 % radius along a route without GPS.", rich_help_panel=FLY)(forecast.command)
+app.command("replay", rich_help_panel=LOGS)(replay.command)
+app.command("evaluate", short_help="Evaluate an estimate against truth, or compare several.", rich_help_panel=LOGS)(
+    evaluate.command
+)
+app.command("report", short_help="Write a report of a flight as one HTML page.", rich_help_panel=LOGS)(report.command)
+app.command("export", rich_help_panel=LOGS)(export.command)
+app.command("import", rich_help_panel=LOGS)(import_command.command)
+app.command("tune", rich_help_panel=LOGS)(tune.command)
+app.command("simulate", rich_help_panel=LOGS)(simulate.command)
+app.command("recover", rich_help_panel=LOGS)(recover.command)
+app.add_typer(fleet.app, name="fleet", short_help="Replay and evaluate many logs, compare two runs.", rich_help_panel=LOGS)
+app.add_typer(map_command.app, name="map", rich_help_panel=MAPS)
+app.command("locate", short_help="Locate the vehicle from photos, a video or a stereo pair.", rich_help_panel=PHOTOS)(
+    locate.command
+)
+app.command("measure", rich_help_panel=PHOTOS)(measure.command)
+app.command("overlay", rich_help_panel=PHOTOS)(overlay.command)
+app.add_typer(calibrate.app, name="calibrate", short_help="Calibrate cameras, stereo rigs and IMUs.", rich_help_panel=CALIBRATION)
+app.command("demo", rich_help_panel=MORE)(demo.command)
+app.command("doctor", rich_help_panel=MORE)(doctor.command)
+app.add_typer(bench.app, name="bench", rich_help_panel=MORE)
 
 
 def main() -> None:

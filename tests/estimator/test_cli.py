@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 
 import pytest
+import typer
 from typer.testing import CliRunner, Result
 
 from estimator.cli import app
@@ -246,3 +247,11 @@ def test_ctrl_c_keeps_what_is_written_and_reports_it_in_one_line(tmp_path: Path)
         assert 0 < sum(r.topic == "/imu" for r in kept) < sum(r.topic == "/imu" for r in whole)
         assert not kept.torn
     assert not is_torn(out)
+
+
+def test_the_help_lists_every_command_once_in_its_panel() -> None:
+    """A command without a panel would be missing from `landfix --help`."""
+    group = typer.main.get_command(app)
+    text = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "110"}).output
+    listed = re.findall(r"^  ([a-z]+)  +\S", text[text.index("Fly:") :], re.MULTILINE)
+    assert sorted(listed) == sorted(name for name, command in group.commands.items() if not command.hidden)  # type: ignore[attr-defined]
