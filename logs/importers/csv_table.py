@@ -21,7 +21,8 @@ from models.untrusted.gzip import GzipFile
 DEG = np.pi / 180.0
 
 _UNIX_S = 100_000_000  # stamps above it (1973) count from 1970, smaller ones from the log's own start
-_VALIDITY = ("t", "time", "timestamp", "stamp")
+_SAME_STAMP = 100  # rows a stamp: more than any batch of an IMU has; the digits of such stamps were cut off
+_VALIDITY = ("header_stamp", "t", "time", "timestamp", "stamp")
 _ARRIVAL = ("arrived", "arrival", "t_arrived")
 _TIME_UNITS = {"_s": 10**9, "_sec": 10**9, "_ms": 10**6, "_us": 10**3, "_ns": 1, "": 0}  # ns; 0: by its size
 
@@ -116,8 +117,10 @@ def read_table(path: Path, t0_ns: int | None = None) -> Table:
     if "," not in lines[0] and (other := next((word for mark, word in _SEPARATORS.items() if mark in lines[0]), "")):
         raise LogError(f"{path.name}: columns are separated by {other}; commas are wanted")
     names = tuple(_plain(cell) for cell in lines[0].split(","))
-    if not any(re.match("[a-z]", name) for name in names):
-        raise LogError(f"{path.name}: the first line must name the columns (t_s, gx_rad_s, ...); it begins {lines[0][:40]!r}")
+    if 2 * sum(bool(re.match("(?!nan$|inf$)[a-z]", name)) for name in names) < len(names):
+        raise LogError(
+            f"{path.name}: no header; the first line must name the columns (t_s, gx_rad_s, ...); it begins {lines[0][:40]!r}"
+        )
     notes = [f"{path.name}: torn; read as far as it goes"] if torn else []
     rows = [line for line in lines[1:] if line.strip()]
     if not rows:
@@ -143,10 +146,19 @@ def read_table(path: Path, t0_ns: int | None = None) -> Table:
         raise LogError(f"{path.name}: no line with a time")
     arrived_ns = _times(path.name, names, rows, _ARRIVAL, t0_ns)
     t_ns, midnights = _over_midnight(t_ns[stamped])
+    _check_digits(path.name, t_ns)
     if midnights:
         notes.append(f"{path.name}: seconds of the day begin again {midnights} times: taken for midnight")
         arrived_ns = None if arrived_ns is None else _over_midnight(arrived_ns)[0]
     return Table(path.name, names, values[stamped], t_ns, arrived_ns, tuple(notes))
+
+
+def _check_digits(file: str, t_ns: Times) -> None:
+    """Refuse stamps of which hundreds have one value by LogError. t_ns (n,)."""
+    distinct = len(np.unique(t_ns))
+    if len(t_ns) >= _SAME_STAMP * distinct:
+        values = "one value" if distinct == 1 else f"{distinct} values"
+        raise LogError(f"{file}: {len(t_ns)} stamps have {values}; write the time with all its digits (nanoseconds, or float64)")
 
 
 def _over_midnight(t_ns: Times) -> tuple[Times, int]:
@@ -156,8 +168,8 @@ def _over_midnight(t_ns: Times) -> tuple[Times, int]:
 
 
 def _plain(header: str) -> str:
-    """A header as a name: "w_RS_S_x [rad s^-1]" -> "w_rs_s_x_rad_s_1"."""
-    return re.sub(r"[^a-z0-9]+", "_", header.lower()).strip("_")
+    """A header as a name: "w_RS_S_x [rad s^-1]" -> "w_rs_s_x_rad_s_1"; of `rostopic echo -p`: "field.latitude" -> "latitude"."""
+    return re.sub(r"[^a-z0-9]+", "_", header.strip().lower().removeprefix("field.")).strip("_")
 
 
 def _text(path: Path) -> tuple[str, bool]:

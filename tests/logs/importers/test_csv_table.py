@@ -137,3 +137,30 @@ def test_a_missing_column_is_reported_with_those_that_are_there(tmp_path: Path) 
     with pytest.raises(LogError, match="no column for specific force x"):
         t.needed(ACCEL, "xyz")
     assert t.vector(ATTITUDE, "wxyz") is None
+
+
+@pytest.mark.parametrize(
+    ("stamps", "values"), [(["1.76723e+09"] * 400, "400 stamps have one value"), (["1", "2"] * 100, "200 stamps have 2 values")]
+)
+def test_stamps_whose_digits_were_cut_off_are_refused(tmp_path: Path, stamps: list[str], values: str) -> None:
+    with pytest.raises(LogError, match=f"imu.csv: {values}"):
+        table(tmp_path, IMU + "".join(f"{t},0,0,0,0,0,-9.8\n" for t in stamps))
+
+
+def test_batches_of_an_imu_that_are_stamped_on_arrival_are_read(tmp_path: Path) -> None:
+    assert len(table(tmp_path, "t_s,x\n" + "".join(f"{k // 20},0\n" for k in range(400))).t_ns) == 400
+
+
+def test_names_of_rostopic_echo(tmp_path: Path) -> None:
+    header = "%time,field.header.seq,field.header.stamp,field.header.frame_id"
+    header += "".join(f",field.{name}.{axis}" for name in ("angular_velocity", "linear_acceleration") for axis in "xyz")
+    t = table(tmp_path, header + "\n1403637130538319200,7,1403637130538319105,imu_link,0.1,0.2,0.3,1,2,9.8\n")
+    np.testing.assert_array_equal(t.needed(GYRO, "xyz"), [[0.1, 0.2, 0.3]])
+    np.testing.assert_array_equal(t.needed(ACCEL, "xyz"), [[1.0, 2.0, 9.8]])
+    assert t.t_ns.tolist() == [1403637130538319105]
+
+
+@pytest.mark.parametrize("line", ["0.1,0,0,0,0,0,-9.8", "0.1,nan,nan,nan,nan,nan,nan", "1403637130538319105,7,imu_link,0.1,0.2"])
+def test_a_file_without_a_header_is_refused_in_words(tmp_path: Path, line: str) -> None:
+    with pytest.raises(LogError, match=r"imu\.csv: no header"):
+        table(tmp_path, f"{line}\n{line}\n")
