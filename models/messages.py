@@ -5,7 +5,7 @@ sources of one kind differ by topic only. Conversion from and to the wire (ENU, 
 """
 
 import math
-from enum import StrEnum
+from enum import IntEnum, StrEnum
 from typing import Any, Final, TypeAlias
 
 import msgspec
@@ -34,10 +34,19 @@ class ImuSample(msgspec.Struct, frozen=True, eq=False):
     topic: str = "/imu"
 
 
+class ReceiverState(IntEnum):
+    """What a GNSS receiver reports of interference; where several hold, the largest."""
+
+    UNKNOWN = 0  # or nothing to report
+    JAMMED = 1  # or a spoofing signal that it mitigates
+    SPOOFED = 2
+
+
 class GnssFix(msgspec.Struct, frozen=True, eq=False):
     """WGS-84 position of the antenna; alt_m above the ellipsoid.
 
-    covariance_n: (3, 3) m^2 in NED axes, or None where the receiver gives none; status < 0: no fix.
+    covariance_n: (3, 3) m^2 in NED axes, or None where the receiver gives none; status < 0: no fix; state: the receiver's own
+    flags.
     """
 
     t_ns: int
@@ -48,6 +57,7 @@ class GnssFix(msgspec.Struct, frozen=True, eq=False):
     covariance_n: Array | None
     status: int = 0
     topic: str = "/gnss"
+    state: ReceiverState = ReceiverState.UNKNOWN
 
 
 class GnssVelocity(msgspec.Struct, frozen=True, eq=False):

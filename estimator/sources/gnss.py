@@ -10,6 +10,7 @@ import math
 from functools import cache
 from typing import Annotated, TypeAlias
 
+import msgspec
 import numpy as np
 from msgspec import Meta
 
@@ -18,11 +19,12 @@ from estimator.sources.base.covariance import covariance_refusal, with_default
 from estimator.sources.base.rules import SourceRules
 from models.frames import Origin
 from models.measurements import Position, Velocity
-from models.messages import GnssFix, GnssVelocity, Reason
+from models.messages import GnssFix, GnssVelocity, Reason, ReceiverState
 
 _AXES = np.arange(3)
 _FASTEST_M_S = 500.0
 _HIGHEST_M = 50_000.0
+_JAMMED_FALSE = 0.5  # share of false fixes of a receiver that reports jamming: as likely as not
 _NOTHING = np.zeros((3, 3))  # is known of the accuracy
 _NO_ACCURACY = "the receiver gives no accuracy: [gnss] {} taken"
 
@@ -79,6 +81,8 @@ def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
     place = (fix.lat_deg, fix.lon_deg, fix.alt_m)
     if fix.status < 0:
         return Refusal(Reason.NO_FIX)
+    if fix.state is ReceiverState.SPOOFED:
+        return Refusal(Reason.STOPPED, "the receiver reports spoofing")
     if not all(map(math.isfinite, place)):
         return Refusal(Reason.NOT_FINITE, "position")
     if abs(fix.lat_deg) > 90.0 or abs(fix.lon_deg) > 180.0 or abs(fix.alt_m) > _HIGHEST_M:
@@ -90,6 +94,8 @@ def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
     if refusal := covariance_refusal(noise, 3):
         return refusal
     lever = np.array(config.antenna_b_m)
+    is_jammed = fix.state is ReceiverState.JAMMED
+    share = msgspec.structs.replace(config, false_share=max(config.false_share, _JAMMED_FALSE)) if is_jammed else config
 
     @cache  # a measurement that comes late has others done again
     def measurement(origin: Origin | None) -> Position | None:
@@ -104,11 +110,12 @@ def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
         order=order(t_ns, "gnss_position", fix.topic, *place, noise.tobytes()),
         rules=config,
         absolute=True,
-        log_false=log_false(config, [FALSE_POSITION_M] * 3),
+        log_false=log_false(share, [FALSE_POSITION_M] * 3),
         measurement=measurement,
         log_misled=math.log(1.0 - config.trust) if config.trust < 1.0 else None,
         slow_errors=_slow("gnss", config.slow_sigma_m, config.slow_s),
         geodetic=place,
+        detail="the receiver reports jamming" if is_jammed else "",
         assumed=_NO_ACCURACY.format(f"horizontal_sigma_m {sigmas[0]:g}, vertical_sigma_m {sigmas[2]:g}") if is_assumed else "",
     )
 

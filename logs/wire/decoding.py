@@ -33,6 +33,7 @@ from models.messages import (
     Quat,
     Reading,
     Reason,
+    ReceiverState,
     Tick,
     Unusable,
     Vec3,
@@ -46,6 +47,7 @@ CHECKPOINT_TOPIC: Final = "/landfix/checkpoint"
 TICK_TOPIC: Final = "/landfix/tick"  # a std_msgs/msg/Header: its stamp is the time
 
 _COVARIANCE_UNKNOWN: Final = 0  # sensor_msgs/msg/NavSatFix
+_STATES: Final = {state.value: state for state in ReceiverState}  # all bits of service set (15) is none of them
 _SECOND_NS: Final = 1_000_000_000
 
 
@@ -232,6 +234,7 @@ def _gnss(topic: str, message: Any, arrived_ns: int) -> GnssFix:
         covariance_n=axes.world_covariance(message.position_covariance.reshape(3, 3)) if known else None,
         status=message.status.status,
         topic=topic,
+        state=_STATES.get(message.status.service >> 12, ReceiverState.UNKNOWN),
     )
 
 

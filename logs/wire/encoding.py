@@ -136,7 +136,7 @@ def encode_input(message: Input, mounting: ImuMounting | None = None) -> Encoded
             return packed(message.topic, schemas.IMU, **_imu(message, (mounting or ImuMounting()).of(message.topic)))
         case GnssFix():
             lla = message.lat_deg, message.lon_deg, message.alt_m
-            return _nav_sat_fix(message.topic, message.t_ns, "gnss", lla, message.covariance_n, message.status)
+            return _nav_sat_fix(message.topic, message.t_ns, "gnss", lla, message.covariance_n, message.status, message.state)
         case GnssVelocity():
             return packed(message.topic, schemas.TWIST, **_gnss_velocity(message))
         case PoseFix():
@@ -338,13 +338,16 @@ def _checkpoint(checkpoint: Checkpoint) -> dict[str, Any]:
     }
 
 
-def _nav_sat_fix(topic: str, t_ns: int, frame: str, lla: Vec3, covariance_n: Array | None, status: int) -> Encoded:
+def _nav_sat_fix(
+    topic: str, t_ns: int, frame: str, lla: Vec3, covariance_n: Array | None, status: int, state: int = 0
+) -> Encoded:
+    """state: ReceiverState, in the top four bits of service, where no constellation is."""
     covariance = np.zeros((3, 3)) if covariance_n is None else axes.world_covariance(covariance_n)
     return packed(
         topic,
         schemas.NAV_SAT_FIX,
         header=header_of(t_ns, frame),
-        status=_new("sensor_msgs/msg/NavSatStatus", status=status, service=0),
+        status=_new("sensor_msgs/msg/NavSatStatus", status=status, service=state << 12),
         latitude=lla[0],
         longitude=lla[1],
         altitude=lla[2],

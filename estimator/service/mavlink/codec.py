@@ -19,7 +19,19 @@ from estimator.service.autopilot.px4_messages import position_sigmas
 from logs.importers.sensors import highres_field, indicated_airspeed, navsat_status, variance_from_dop
 from models import so3
 from models.frames import GRAVITY
-from models.messages import Alert, Array, AttitudePrior, Estimate, GnssFix, GnssVelocity, ImuSample, Integrity, Vec3, vec3
+from models.messages import (
+    Alert,
+    Array,
+    AttitudePrior,
+    Estimate,
+    GnssFix,
+    GnssVelocity,
+    ImuSample,
+    Integrity,
+    ReceiverState,
+    Vec3,
+    vec3,
+)
 from models.state import E, X
 
 PX4: Final = mavlink.MAV_AUTOPILOT_PX4
@@ -38,6 +50,7 @@ _UNKNOWN: Final = 65535
 _SPEED_SIGMA_M_S: Final = 0.5  # where the receiver reports none
 _NO_VERTICAL_VARIANCE: Final = 100.0**2  # m^2/s^2: there is no vertical speed; 0 with this says nothing
 _FIX_3D: Final = 3
+_MITIGATED, _DETECTED = 2, 3  # GPS_JAMMING_STATE, GPS_SPOOFING_STATE
 _GPS_EPOCH_NS: Final = 315_964_800_000_000_000  # 1980-01-06
 _LEAP_NS: Final = 18_000_000_000  # GPS time is ahead of UTC by this much, since 2017
 _WEEK_MS: Final = 604_800_000
@@ -110,7 +123,15 @@ def attitude(message: Any, t_ns: int, sigma_deg: tuple[float, float], topic: str
     return AttitudePrior(t_ns, t_ns, (w, x, y, z), np.diag([tilt, tilt, heading]), topic)
 
 
-def gnss_fix(message: Any, t_ns: int, geoid_m: float, topic: str) -> GnssFix:
+def receiver_state(message: Any) -> ReceiverState:
+    """Of GNSS_INTEGRITY: jamming and spoofing are 0 unknown, 1 none, 2 mitigated, 3 detected."""
+    if message.spoofing_state == _DETECTED:
+        return ReceiverState.SPOOFED
+    is_disturbed = message.jamming_state == _DETECTED or message.spoofing_state == _MITIGATED
+    return ReceiverState.JAMMED if is_disturbed else ReceiverState.UNKNOWN
+
+
+def gnss_fix(message: Any, t_ns: int, geoid_m: float, topic: str, state: ReceiverState = ReceiverState.UNKNOWN) -> GnssFix:
     """GPS_RAW_INT, GPS2_RAW; the height above the sea and geoid_m where there is none above the ellipsoid.
 
     alt_ellipsoid of 0 is none; so is one that is alt: the receiver, such as that of ArduPilot's simulator, has no geoid.
@@ -118,7 +139,8 @@ def gnss_fix(message: Any, t_ns: int, geoid_m: float, topic: str) -> GnssFix:
     has_ellipsoid = message.alt_ellipsoid and abs(message.alt_ellipsoid - message.alt) > _SAME_HEIGHT_MM
     height_m = 1e-3 * message.alt_ellipsoid if has_ellipsoid else 1e-3 * message.alt + geoid_m
     status = int(navsat_status(np.array(message.fix_type)))
-    return GnssFix(t_ns, t_ns, 1e-7 * message.lat, 1e-7 * message.lon, height_m, _position_covariance(message), status, topic)
+    lat_deg, lon_deg = 1e-7 * message.lat, 1e-7 * message.lon
+    return GnssFix(t_ns, t_ns, lat_deg, lon_deg, height_m, _position_covariance(message), status, topic, state)
 
 
 def gnss_velocity(message: Any, t_ns: int, topic: str) -> GnssVelocity | None:

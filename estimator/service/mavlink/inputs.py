@@ -14,10 +14,10 @@ from estimator.service.mavlink import codec
 from estimator.service.mavlink.config import MavlinkConfig
 from estimator.service.mavlink.flow_range import FlowRange
 from estimator.service.mavlink.odometry import camera, flow, pose, wheels
-from estimator.service.mavlink.wire import VISION_POSITION_DELTA
+from estimator.service.mavlink.wire import GNSS_INTEGRITY, VISION_POSITION_DELTA
 from logs.wire.codec import Topics
 from logs.wire.increments import CameraSteps, FlowSteps, Wheels
-from models.messages import Input, Reading
+from models.messages import Input, Reading, ReceiverState
 
 _MISSING_NS: Final = 3 * SECOND_NS  # not heard for so long: asked for (again)
 _MICRO: Final = 1e6
@@ -84,6 +84,8 @@ class Inputs:
         odometries = frozenset({VISION_POSITION_DELTA} if self._steps else ()) | ({_ODOMETRY} if self._pose_topic else set())
         self.wanted = imus | attitudes | self._carriers | self._steppers | odometries
         self.wanted |= self._other_imus.keys() | self._positions.keys() | self._velocities.keys()
+        self.wanted |= {GNSS_INTEGRITY} if self._positions else set()
+        self._states: dict[int, tuple[ReceiverState, int]] = {}  # message id of the receiver's fixes -> its flags, and when
         self._heard: dict[int, int] = {}  # message id -> when
         self._asked: dict[int, int] = {}
         self._began_ns: int | None = None  # when an IMU was first asked for
@@ -126,9 +128,10 @@ class Inputs:
             yield from self._sensors(message, kind, t_ns, autopilot)
         if number == _ATTITUDE and self._attitude_topic and self._is_true_heading(autopilot):
             yield codec.attitude(message, t_ns, self._attitude_sigma_deg, self._attitude_topic)
+        state = self._state(number, now_ns)
         if number in self._positions:
-            yield codec.gnss_fix(message, t_ns, self._geoid_m, self._positions[number])
-        if number in self._velocities:
+            yield codec.gnss_fix(message, t_ns, self._geoid_m, self._positions[number], state)
+        if number in self._velocities and state is not ReceiverState.SPOOFED:
             velocity = codec.gnss_velocity(message, t_ns, self._velocities[number])
             if velocity is not None:
                 yield velocity
@@ -139,6 +142,16 @@ class Inputs:
             yield from flow(self._flow, message, t_ns, self.flow_range.at(message, t_ns))
         if number == _WHEELS and self._wheels is not None:
             yield from wheels(self._wheels, message, t_ns)
+
+    def note_integrity(self, message: Any, now_ns: int) -> None:
+        """GNSS_INTEGRITY, which has no stamp; its id counts the receivers from 0."""
+        if message.id < len(_RECEIVERS):
+            self._states[_RECEIVERS[message.id]] = codec.receiver_state(message), now_ns
+
+    def _state(self, number: int, now_ns: int) -> ReceiverState:
+        """The flags of the receiver of this message, unless they are too old to count."""
+        state, heard_ns = self._states.get(number, (ReceiverState.UNKNOWN, _NEVER))
+        return state if now_ns - heard_ns <= _MISSING_NS else ReceiverState.UNKNOWN
 
     def odometry(self, message: Any, t_ns: int) -> Iterator[Input]:
         """The measurements in a message of one of the companions."""

@@ -289,6 +289,8 @@ class MavlinkLink:
             self.commands_refused += refused
             if refused:
                 self._inputs.deny()
+        elif kind == "GNSS_INTEGRITY":
+            self._inputs.note_integrity(message, now_ns)
         else:
             before = self._boot.reboots
             t_ns = self._boot.t_ns(codec.stamp_ns(message), now_ns)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from hashlib import sha256
 from typing import Any, Final
 
-from pymavlink.dialects.v20 import ardupilotmega
+from pymavlink.dialects.v20 import ardupilotmega, development
 from pymavlink.dialects.v20 import common as mavlink
 
 _EPOCH_2015_NS: Final = 1_420_070_400_000_000_000  # of signatures, in units of 10 us
@@ -19,7 +19,9 @@ _STARTS: Final = frozenset({_V1, 0xFD})
 _NO_FRAME: Final = frozenset({"Bad prefix", "Invalid signature"})  # skipped already; a whole frame, of somebody else
 _HEADER_V1, _HEADER_V2 = 6, 10
 VISION_POSITION_DELTA: Final[int] = ardupilotmega.MAVLINK_MSG_ID_VISION_POSITION_DELTA  # of ArduPilot's dialect alone
+GNSS_INTEGRITY: Final[int] = development.MAVLINK_MSG_ID_GNSS_INTEGRITY  # not yet in the common dialect
 mavlink.mavlink_map.setdefault(VISION_POSITION_DELTA, ardupilotmega.MAVLink_vision_position_delta_message)
+mavlink.mavlink_map.setdefault(GNSS_INTEGRITY, development.MAVLink_gnss_integrity_message)
 
 
 class Wire(mavlink.MAVLink):  # type: ignore[misc]

@@ -10,7 +10,7 @@ from estimator.sources.base.aid import Aid, Refusal
 from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
 from models.frames import Origin
 from models.measurements import Position, Velocity
-from models.messages import Array, GnssFix, GnssVelocity, Reason
+from models.messages import Array, GnssFix, GnssVelocity, Reason, ReceiverState
 
 HOME = Origin(47.0, 8.0, 500.0)
 NOISE = np.diag([1.0, 2.0, 3.0])
@@ -177,3 +177,14 @@ def test_another_reading_of_one_instant_has_another_position() -> None:
     again = _aid(position_aid(_fix(arrived_ns=2 * 10**9), GnssConfig()))
     assert one.order == again.order
     assert len({one.order, two.order, other_noise.order}) == 3
+
+
+def test_a_receiver_that_reports_spoofing_is_not_followed() -> None:
+    refusal = position_aid(_fix(state=ReceiverState.SPOOFED), GnssConfig())
+    assert refusal == Refusal(Reason.STOPPED, "the receiver reports spoofing")
+
+
+def test_a_receiver_that_reports_jamming_is_as_likely_false_as_not() -> None:
+    plain, jammed = (_aid(position_aid(_fix(state=s), GnssConfig())) for s in (ReceiverState.UNKNOWN, ReceiverState.JAMMED))
+    assert jammed.log_false - plain.log_false == pytest.approx(math.log(0.5 / 0.01))
+    assert (plain.detail, jammed.detail) == ("", "the receiver reports jamming")
