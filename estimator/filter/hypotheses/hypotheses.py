@@ -13,9 +13,9 @@ contradict it later: it keeps the false one and locks the true ones out. So the 
     (of a position at least the density of a noisier source:    w <- w + ln(e N(nu; 0, S + 255 R)))
 
 j: the hypotheses that take the source for true; e: the share of false readings, u: their uniform density; tau: how long a fault
-that repeats itself lasts, of positions that the leading hypothesis alone refuses AGAIN_S. The leading hypothesis is the estimate; another takes over when its weight is larger by a margin. By
-the same margin a reading must be better predicted as the last false one than as true, where a gate was all that spoke against
-the last one.
+that repeats itself lasts, of positions that the leading hypothesis alone refuses AGAIN_S. The leading hypothesis is the estimate;
+another takes over when its weight is larger by a margin. By the same margin a reading must be better predicted as the last false
+one than as true, where a gate was all that spoke against the last one.
 
 A false fix that was sought where the vehicle was expected fits well too. So in the covariance, though not in the decision, a
 sceptic begins with the weight e at least, and loses twice dt / tau: after an outage the first fixes are published with the chance
@@ -402,7 +402,7 @@ class Hypotheses:
                 off = seen.h[:, part].T @ seen.nu
                 eskf.cov[part, part] += np.outer(off, off)
         seen = innovation(eskf, aid, z, gyro_b)
-        follower.weight = self._behind(aid, vouched=vouched, by_imu=by_imu)  # relative to the leading one, until that has answered
+        follower.weight = self._behind(aid, vouched=vouched, by_imu=by_imu)  # relative to the leading one's
         if aid.topic not in lead.doubts:  # the first one that is refused may be the true one
             follower.benefit = max(-follower.weight - _SEEN, 0.0)
         follower.fused_ns = follower.run_ns = follower.parted_ns = aid.t_ns
