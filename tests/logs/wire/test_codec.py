@@ -461,8 +461,9 @@ def test_health_reports_every_field() -> None:
     last = LastGnss(47.0, 8.0, 400.0, 12.5, 3.0)
     sources, counts = {"/imu": "active", "/gnss": "stopped"}, {"fused": 12, "gated": 1}
     health = Health(
-        T_NS, ARRIVED_NS, Mode.COASTING, np.inf, 3.5, 0.2, 4, sources, counts, 1, last, "IMU silent", {"gyro_x": 0.001}
-    )
+        T_NS, ARRIVED_NS, Mode.COASTING, np.inf, 3.5, 0.2, 4, sources, counts, 1, last, "IMU silent", {"gyro_x": 0.001},
+        weights={"IMU wrong": -4.4},
+    )  # fmt: skip
     encoded = encode(health)[0]
     assert encoded[:2] == ("/landfix/health", "diagnostic_msgs/msg/DiagnosticArray")
     (status,) = ros(encoded).status
@@ -473,6 +474,7 @@ def test_health_reports_every_field() -> None:
     assert values["counts fused"] == "12"
     assert values["last_gnss age_s"] == "12.5"
     assert values["biases gyro_x"] == "0.001"
+    assert values["weights IMU wrong"] == "-4.4"
     fields = set(health.__struct_fields__) - {"t_ns", "arrived_ns"}
     assert {key.split(" ")[0] for key in values} == fields
     levels = {mode: ros(encode(msgspec.structs.replace(health, mode=mode, last_gnss=None))[0]).status[0].level for mode in Mode}
