@@ -208,7 +208,7 @@ def rig() -> Iterator[_Rig]:
         made.link.close()
 
 
-_TAKEN = sorted({0, 2, 49, 77, 111, 24, 124, 26, 27, 30, 105})
+_TAKEN = sorted({0, 2, 49, 77, 111, 24, 124, 26, 27, 30, 105, 441})
 
 
 def test_these_are_all_that_the_link_takes(rig: _Rig) -> None:
@@ -237,6 +237,7 @@ def test_any_stamps_and_any_numbers_end_no_turn_of_the_link(rig: _Rig, data: st.
 @MANY
 @given(number=st.sampled_from(_TAKEN), payload=st.binary(max_size=255), v1=st.booleans())
 def test_a_payload_of_any_length_costs_none_of_those_that_came_with_it(rig: _Rig, number: int, payload: bytes, v1: bool) -> None:
+    v1 = v1 and number < 256  # the id of a MAVLink 1 frame is a byte
     head = (
         struct.pack("<BBBBB", len(payload), 7, 1, 1, number)
         if v1
