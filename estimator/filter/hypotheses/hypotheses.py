@@ -61,6 +61,7 @@ _LIKELY = 0.25  # share of the unknown motion within which an IMU that is wrong 
 _CONFIRMED_S = 60.0  # a run that another source confirms wins against a shorter one, up to this length
 AGAIN_S = 0.4  # a fix that is refused again costs 1 / AGAIN_S a second, ln
 _SEEN = 3.0  # ln: so far behind the leading one a new follower counts in the covariance
+_UNSEEN = 10.0  # ln: by so much less one counts there whose source is refused already
 _NOISIER = 256.0  # times the variance that a source claims
 
 
@@ -325,7 +326,7 @@ class Hypotheses:
         """
         member, doubt = self.members[k], self.members[k].doubts.get(aid.topic)
         true = seen.log_likelihood
-        if k > 0 and aid.receiver in member.doubts and by_receiver > -math.inf:
+        if (k > 0 or not passed) and aid.receiver in member.doubts and by_receiver > -math.inf:
             member.weight += by_receiver
             return False
         if doubt and agreement is not None and (doubt.deliberate or not passed or agreement > true + _MARGIN):
@@ -403,8 +404,8 @@ class Hypotheses:
                 eskf.cov[part, part] += np.outer(off, off)
         seen = innovation(eskf, aid, z, gyro_b)
         follower.weight = self._behind(aid, vouched=vouched, by_imu=by_imu)  # relative to the leading one's
-        if aid.topic not in lead.doubts:  # the first one that is refused may be the true one
-            follower.benefit = max(-follower.weight - _SEEN, 0.0)
+        is_first = aid.topic not in lead.doubts  # that is refused: it may be the true one
+        follower.benefit = max(-follower.weight - _SEEN, 0.0) if is_first else -_UNSEEN
         follower.fused_ns = follower.run_ns = follower.parted_ns = aid.t_ns
         follower.run = 1
         eskf.update(seen)
