@@ -72,7 +72,6 @@ def test_somebody_who_answers_is_found(tmp_path: Path) -> None:
         ("[zenoh]\nlisten = ['7447']\n", "zenoh", "is not PROTOCOL/HOST:PORT"),
         ("[zenoh]\nconnect = ['tcp/127.0.0.1:99999']\n", "zenoh", "is not PROTOCOL/HOST:PORT"),
         ("[zenoh]\nlisten = ['tcp/127.0.0.1']\n", "zenoh", "is not PROTOCOL/HOST:PORT"),
-        ("[inputs]\nimu = '/imu#1'\n", "zenoh", "a topic cannot be named so"),
         ("[mavlink]\nendpoint = '/dev/null'\nbaud = 12345\n", "mavlink", "is not a speed"),
         ("[mavlink]\nendpoint = '/tmp'\n", "mavlink.endpoint", "is no serial device"),
         ("[mavlink]\nendpoint = 'udp:here'\n", "mavlink", "is not udpin:HOST:PORT"),
