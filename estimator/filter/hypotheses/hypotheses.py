@@ -327,7 +327,7 @@ class Hypotheses:
         member, doubt = self.members[k], self.members[k].doubts.get(aid.topic)
         true = seen.log_likelihood
         if (k > 0 or not passed) and aid.receiver in member.doubts and by_receiver > -math.inf:
-            member.weight += by_receiver
+            member.weight += max(by_receiver, aid.log_false)
             return False
         if doubt and agreement is not None and (doubt.deliberate or not passed or agreement > true + _MARGIN):
             member.weight += agreement if doubt.deliberate or not aid.absolute else max(agreement, _noisier(aid, seen))
