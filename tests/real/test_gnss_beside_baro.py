@@ -24,7 +24,6 @@ def test_a_barometer_in_the_wind_does_not_lock_out_a_good_receiver(tmp_path: Pat
     assert reasons.count(Reason.GATED) <= 0.01 * len(reasons)
 
 
-@pytest.mark.xfail(reason="a regression: a receiver that walks off outvotes the barometer since followers take every fix (116 m)")
 def test_a_receiver_that_walks_off_does_not_outvote_the_barometer(tmp_path: Path) -> None:
     recording, config = gnss.flight(gnss.GLITCH, tmp_path)
     messages = gnss.inputs(recording)

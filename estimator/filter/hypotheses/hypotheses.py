@@ -431,7 +431,8 @@ class Hypotheses:
         """The leading hypothesis loses 1 / this, ln, in a second of fixes that it refuses: less where another confirms it."""
         own = f"{aid.topic}/"  # velocities of the same receiver
         others = any(topic != aid.topic and not topic.startswith(own) for topic in self.members[0].doubts)
-        return max(lasts_s(aid.kind), AGAIN_S) if vouched and not others else AGAIN_S
+        is_slow = aid.log_misled is not None or (vouched and not others)  # a receiver's readings share their error
+        return max(lasts_s(aid.kind), AGAIN_S) if is_slow else AGAIN_S
 
     def _trust_imu_again(self, t_ns: int) -> None:
         """The leading hypothesis takes the IMU for wrong: from its newest fix on another one takes it for right again."""
