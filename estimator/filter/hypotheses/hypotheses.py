@@ -425,7 +425,7 @@ class Hypotheses:
         again_s = self._again_s(aid, vouched=vouched)
         if again_s > AGAIN_S:  # another source confirms it
             holds_s = max(holds_s, min((lead.fused_ns - lead.run_ns) * 1e-9, _CONFIRMED_S))
-        return _MARGIN - holds_s / again_s
+        return _MARGIN - max(holds_s / again_s, lead.holds_s(aid.t_ns, imu_may_be_wrong=by_imu) / AGAIN_S)
 
     def _again_s(self, aid: Aid, *, vouched: bool) -> float:
         """The leading hypothesis loses 1 / this, ln, in a second of fixes that it refuses: less where another confirms it."""
