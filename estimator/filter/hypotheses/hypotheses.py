@@ -60,6 +60,7 @@ _UNSEEN_S, _FORGOTTEN_S = 0.5, 5.0  # a wrong IMU has been so since the last fix
 _LIKELY = 0.25  # share of the unknown motion within which an IMU that is wrong explains a fix
 _CONFIRMED_S = 60.0  # a run that another source confirms wins against a shorter one, up to this length
 AGAIN_S = 0.4  # a fix that is refused again costs 1 / AGAIN_S a second, ln
+_RECEIVER_S = 2.0  # the same of a receiver alone, whose readings share their error: a barometer has its say
 _SEEN = 3.0  # ln: so far behind the leading one a new follower counts in the covariance
 _UNSEEN = 10.0  # ln: by so much less one counts there whose source is refused already
 _NOISIER = 256.0  # times the variance that a source claims
@@ -423,7 +424,7 @@ class Hypotheses:
         lead = self.members[0]
         holds_s = lead.holds_s(aid.t_ns, imu_may_be_wrong=by_imu)
         again_s = self._again_s(aid, vouched=vouched)
-        if again_s > AGAIN_S:  # another source confirms it
+        if again_s > _RECEIVER_S:  # another source confirms it
             holds_s = max(holds_s, min((lead.fused_ns - lead.run_ns) * 1e-9, _CONFIRMED_S))
         return _MARGIN - max(holds_s / again_s, lead.holds_s(aid.t_ns, imu_may_be_wrong=by_imu) / AGAIN_S)
 
@@ -431,8 +432,9 @@ class Hypotheses:
         """The leading hypothesis loses 1 / this, ln, in a second of fixes that it refuses: less where another confirms it."""
         own = f"{aid.topic}/"  # velocities of the same receiver
         others = any(topic != aid.topic and not topic.startswith(own) for topic in self.members[0].doubts)
-        is_slow = aid.log_misled is not None or (vouched and not others)  # a receiver's readings share their error
-        return max(lasts_s(aid.kind), AGAIN_S) if is_slow else AGAIN_S
+        if vouched and not others:
+            return max(lasts_s(aid.kind), AGAIN_S)
+        return AGAIN_S if aid.log_misled is None else _RECEIVER_S
 
     def _trust_imu_again(self, t_ns: int) -> None:
         """The leading hypothesis takes the IMU for wrong: from its newest fix on another one takes it for right again."""
