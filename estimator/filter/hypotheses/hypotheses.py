@@ -13,9 +13,9 @@ contradict it later: it keeps the false one and locks the true ones out. So the 
     (of a position at least the density of a noisier source:    w <- w + ln(e N(nu; 0, S + 255 R)))
 
 j: the hypotheses that take the source for true; e: the share of false readings, u: their uniform density; tau: how long a fault
-that repeats itself lasts, of positions that the leading hypothesis alone refuses AGAIN_S. The leading hypothesis is the estimate;
-another takes over when its weight is larger by a margin. By the same margin a reading must be better predicted as the last false
-one than as true, where a gate was all that spoke against the last one.
+that repeats itself lasts, of positions that the leading hypothesis alone refuses AGAIN_S (of a receiver _RECEIVER_S). The leading
+hypothesis is the estimate; another takes over when its weight is larger by a margin. By the same margin a reading must be better
+predicted as the last false one than as true, where a gate was all that spoke against the last one.
 
 A false fix that was sought where the vehicle was expected fits well too. So in the covariance, though not in the decision, a
 sceptic begins with the weight e at least, and loses twice dt / tau: after an outage the first fixes are published with the chance
@@ -420,16 +420,23 @@ class Hypotheses:
             best.weight = max(best.weight, self.members[0].weight + self._behind(aid, vouched=vouched, by_imu=best.doubts_imu))
 
     def _behind(self, aid: Aid, *, vouched: bool, by_imu: bool) -> float:
-        """ln, by how much what contradicts the leading hypothesis begins behind it: refused fixes make it up while they last."""
+        """ln of the weight with which what contradicts the leading hypothesis begins, relative to it.
+
+        margin - max(t / AGAIN_S, t' / again_s), by the times t that the leading one holds, t' its confirmed run. Refused fixes
+        make it up at 1 / again_s: a slower pace begins no nearer.
+        """
         lead = self.members[0]
-        holds_s = lead.holds_s(aid.t_ns, imu_may_be_wrong=by_imu)
+        holds_s = confirmed_s = lead.holds_s(aid.t_ns, imu_may_be_wrong=by_imu)
         again_s = self._again_s(aid, vouched=vouched)
         if again_s > _RECEIVER_S:  # another source confirms it
-            holds_s = max(holds_s, min((lead.fused_ns - lead.run_ns) * 1e-9, _CONFIRMED_S))
-        return _MARGIN - max(holds_s / again_s, lead.holds_s(aid.t_ns, imu_may_be_wrong=by_imu) / AGAIN_S)
+            confirmed_s = max(holds_s, min((lead.fused_ns - lead.run_ns) * 1e-9, _CONFIRMED_S))
+        return _MARGIN - max(holds_s / AGAIN_S, confirmed_s / again_s)
 
     def _again_s(self, aid: Aid, *, vouched: bool) -> float:
-        """The leading hypothesis loses 1 / this, ln, in a second of fixes that it refuses: less where another confirms it."""
+        """The leading hypothesis loses 1 / this, ln, in a second of fixes that it refuses.
+
+        The longest where another source confirms it; longer for a receiver, whose readings share their error, than for fixes.
+        """
         own = f"{aid.topic}/"  # velocities of the same receiver
         others = any(topic != aid.topic and not topic.startswith(own) for topic in self.members[0].doubts)
         if vouched and not others:

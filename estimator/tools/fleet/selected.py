@@ -83,7 +83,7 @@ class Index:
         """The channels of wanted topics."""
         return {r.id for r in self.records[Opcode.CHANNEL] if isinstance(r, Channel) and wanted(r.topic)}
 
-    def beside(self) -> list[Range]:
+    def extras(self) -> list[Range]:
         """Where the metadata records stand, and the attachments that a replay or an evaluation reads."""
         metadata = [(r.offset, r.offset + r.length) for r in self.records[Opcode.METADATA_INDEX] if isinstance(r, MetadataIndex)]
         files = [r for r in self.records[Opcode.ATTACHMENT_INDEX] if isinstance(r, AttachmentIndex)]
@@ -118,7 +118,7 @@ def _write(file: BinaryIO, source: "_Source", index: Index, channels: set[int]) 
     for opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
         for record in index.records[opcode]:
             file.write(_packed(record))
-    for piece in source.pieces(iter(index.beside())):
+    for piece in source.pieces(iter(index.extras())):
         file.write(piece)
     for mixed, chunks in _runs(index.chunks, channels):
         if mixed:
