@@ -152,6 +152,8 @@ class Fusion:
                 origin=Origin.of(config.origin),
                 dead_reckoning_after_s=config.estimator.dead_reckoning_after_s,
                 bounds=config.bounds,
+                rest=config.rest,
+                drag=config.drag,
             )
         )
         if checkpoint is not None:
@@ -211,9 +213,9 @@ class Fusion:
         self._note_lead(sample)
         config = self._config
         if config.rest.enabled:
-            self._ask(sample.t_ns, config.rest.every_s, lambda t_ns: rest_aid(t_ns, config.rest))
+            self._ask(sample.t_ns, config.rest.every_s, rest_aid)
         if config.drag.enabled:
-            self._ask(sample.t_ns, config.drag.every_s, lambda t_ns: drag_aid(t_ns, config.drag, config.wind))
+            self._ask(sample.t_ns, config.drag.every_s, lambda t_ns: drag_aid(t_ns, config.wind))
         tracker = self._history.advance(sample.t_ns)
         return self._publish(tracker, sample.t_ns, sample.arrived_ns, sample.gyro_b)
 

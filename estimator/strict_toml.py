@@ -140,6 +140,10 @@ _REMOVED = {
     "reset_after_s": "leave it out: consistent fixes win when they are more than those that they contradict",
     "cusum_slack": "leave it out: 1 sigma is tolerated",
     "cusum_limit": "leave it out: a source is rejected at 10 sigma of cumulated bias",
+    **dict.fromkeys(
+        ("gate_probability", "false_share", "probation", "hold_s", "spacing_s", "timeout_s"),
+        "leave it out: estimator/sources/base/rules.py has how each source is judged",
+    ),
     "stuck_s": "leave it out: a reading that is equal to the bit in motion is never used",
 }
 

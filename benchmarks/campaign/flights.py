@@ -26,7 +26,6 @@ AIDED_S = 100.0  # before the first outage; the assumed prior is forgotten by th
 BETWEEN_S = 30.0  # aided, between outages
 LENGTHS_S = (5.0, 10.0, 30.0, 60.0, 120.0)
 _ALIGNING_S = 20.0  # pose fixes align a flight that then goes on with GNSS; "alone": it has to find its heading itself
-_NONE_FALSE = 1e-6  # share of false measurements: the filter knows that there are none
 _NEVER_STILL = 1e-9  # rad/s: no levelling at rest, so that the filter's prior is exactly the bound's
 
 Phase = Literal["before", "during", "end", "after"]
@@ -94,7 +93,7 @@ class Flight(msgspec.Struct, frozen=True, kw_only=True):
         )
         slow_s = self.scenario.gnss.slow_tau_s if self.scenario.gnss else 60.0
         gnss = GnssConfig(slow_sigma_m=self.configured_slow_m, slow_s=slow_s, velocity_slow_sigma_m_s=0.0)
-        pose_fix = PoseConfig(tilt_deg=0.0, mount_deg=0.0, false_share=_NONE_FALSE)  # simulated fixes: level, true
+        pose_fix = PoseConfig(tilt_deg=0.0, mount_deg=0.0)  # simulated fixes: level, true
         return FusionConfig(imu=ImuNoise(**scaled), gnss=gnss, pose_fix=pose_fix, initialise=prior, origin=self.scenario.origin)
 
 

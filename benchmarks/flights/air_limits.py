@@ -27,7 +27,8 @@ from benchmarks.tables import Table, number
 from estimator.fusion import Fusion
 from estimator.sources.air import drag
 from estimator.sources.air.wind import WIND, estimated
-from estimator.sources.base.aid import Aid, SensorRules, order
+from estimator.sources.base.aid import Aid, order
+from estimator.sources.base.rules import Rules
 from models.frames import Origin
 from models.messages import Array
 from models.sim.air import blow
@@ -37,7 +38,7 @@ from models.state import E, local
 
 AT_S: Final = 60
 VEHICLES: Final[dict[str, Multirotor | FixedWing]] = {"multirotor": Multirotor(drag_1_s=0.15), "fixed wing": FixedWing()}
-_RULES: Final = SensorRules(gate_probability=1.0 - 1e-15)
+_RULES: Final = Rules(gate_probability=1.0 - 1e-15)
 _SHARP: Final = {"attitude": 1e-5, "gyroscope's bias": 1e-7, "accelerometer's bias": 1e-5, "wind": 1e-3, "sensor": 1e-5}
 _PARTS: Final = {"attitude": E.THETA, "gyroscope's bias": E.BG, "accelerometer's bias": E.BA}
 _NO_STATES: Final = slice(0, 0)

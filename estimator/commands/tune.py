@@ -30,7 +30,6 @@ def command(
     vary: Annotated[
         str, typer.Option(metavar="KEY,KEY", help="Keys to tune, such as imu.gyro_noise; default: all noise parameters.")
     ] = "",
-    gates: Annotated[bool, typer.Option("--gates", help="Tune gate_probability and false_share too.")] = False,
     outage_s: Annotated[
         float, typer.Option("--outage", metavar="SECONDS", min=1, help="Duration of a window without fixes.")
     ] = 10.0,
@@ -49,7 +48,7 @@ def command(
     \b
     Examples:
       landfix tune monday.mcap tuesday.mcap -c vehicle.toml -o tuned.toml
-      landfix tune monday.mcap -c vehicle.toml -o tuned.toml --hold-out friday.mcap --gates
+      landfix tune monday.mcap -c vehicle.toml -o tuned.toml --hold-out friday.mcap
       landfix tune *.mcap -c vehicle.toml -o tuned.toml --scheduler tcp://10.0.0.5:8786
     """
     from estimator.config import load
@@ -65,7 +64,7 @@ def command(
     if again := set(names) & set(held_out):
         raise TuneError(f"{min(again)}: is tuned on, so it cannot be held out")
     check_output(out, *(Path(log) for log in (*names, *held_out) if not is_stored(log)))
-    keys = chosen(sources(names[0], text), filter(None, vary.split(",")), gates, bool(truth))
+    keys = chosen(sources(names[0], text), filter(None, vary.split(",")), bool(truth))
     with executor(jobs, scheduler) as workers, progress(f"tune {len(keys)} keys") as report:
         tuner = Tuner(names, text, keys, TuneConfig(coarse, fine, outage_s, truth), workers, report)
         result = tuner.run(held_out)

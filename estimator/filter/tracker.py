@@ -243,7 +243,7 @@ class Tracker(Alignment):
         elif not aid.weighs and not self.is_aligned:
             return Decision(Reason.ALIGNING, detail=_NOT_YET)
         state = self.sources.get(aid.topic, _UNKNOWN)
-        if aid.t_ns - state.last_ns < aid.hypothetical.spacing_s * 1e9:
+        if aid.t_ns - state.last_ns < aid.rules.spacing_s * 1e9:
             return Decision(Reason.THINNED)
         alone = self._alone(aid)
         state = state.arrive(aid.rules, aid.t_ns, alone=alone)
@@ -310,20 +310,19 @@ class Tracker(Alignment):
     def _felt(self, aid: Aid, samples: ImuBuffer) -> tuple[Aid, Measurement | Refusal]:
         """What the IMU itself shows: rest, or the drag of a multirotor."""
         if aid.kind == rest.TOPIC:
-            return aid, self._rest(aid, samples)
-        assert isinstance(aid.rules, drag.DragConfig)
-        second, begin = self._stretch(samples), samples.first_after(self.t_ns - round(aid.rules.every_s * 1e9))
+            return aid, self._rest(samples)
+        config = self.config.drag
+        second, begin = self._stretch(samples), samples.first_after(self.t_ns - round(config.every_s * 1e9))
         u = samples.u[begin : samples.first_after(self.t_ns)]
         if second is None or not len(u) or not self.is_aligned:
             return aid, Refusal(Reason.THINNED, NO_POSITION)
         if rest.is_quiet(second, _ON_THE_GROUND):
             return aid, Refusal(Reason.THINNED, "at rest")
-        return drag.felt(aid, u, aid.rules)
+        return drag.felt(aid, u, config)
 
-    def _rest(self, aid: Aid, samples: ImuBuffer) -> Rest | Refusal:
+    def _rest(self, samples: ImuBuffer) -> Rest | Refusal:
         """The vehicle at rest, as the last second of the IMU shows it and the estimate confirms."""
-        rules, u = aid.rules, self._stretch(samples)
-        assert isinstance(rules, RestConfig)
+        rules, u = self.config.rest, self._stretch(samples)
         if u is None or not self.is_aligned or self.hypotheses is None or not rest.is_quiet(u, rules):
             if self.rest_since is not None and self.is_aligned and self.hypotheses is not None:
                 self.hypotheses.forget(rest.BLOCK)

@@ -1,7 +1,7 @@
 """The registry: the section of every source, and which of them makes a measurement of a message.
 
-A sensor of one's own is a subclass of SensorRules in a file here, one line in SourcesConfig, and an entry in logs/wire/sensors.py
-(docs/own_sensor.md).
+A sensor of one's own is a subclass of SensorConfig in a file here, one line in SourcesConfig, and an entry in
+logs/wire/sensors.py (docs/own_sensor.md).
 """
 
 import math
@@ -14,7 +14,7 @@ from estimator.sources.air.drag import DragConfig
 from estimator.sources.air.wind import WindConfig
 from estimator.sources.attitude import attitude_aid
 from estimator.sources.baro import BaroConfig
-from estimator.sources.base.aid import Aid, Refusal, SensorRules
+from estimator.sources.base.aid import Aid, Refusal, SensorConfig
 from estimator.sources.beacon import BeaconConfig
 from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
 from estimator.sources.heading import HeadingConfig
@@ -87,7 +87,7 @@ def aid_of(message: Input, config: SourcesConfig) -> Aid | Refusal | None:
 
 def _sensor_aid(reading: Reading, config: SourcesConfig) -> Aid | Refusal | None:
     rules = getattr(config, reading.kind, None)
-    if not isinstance(rules, SensorRules):
+    if not isinstance(rules, SensorConfig):
         return None
     if not all(map(math.isfinite, reading.values)):
         return Refusal(Reason.NOT_FINITE, f"{reading.kind}: its reading")

@@ -12,7 +12,8 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
-from estimator.sources.base.aid import Aid, Refusal, SensorRules, SlowError, log_false, order
+from estimator.sources.base.aid import Aid, Refusal, SensorConfig, SlowError, log_false, order
+from estimator.sources.base.rules import RULES
 from models.measurements import Height
 from models.messages import Array, Reading, Reason
 from models.state import X
@@ -22,13 +23,9 @@ _SEA_LEVEL_PA, _EXPONENT, _SCALE_M = 101_325.0, 0.190263, 44_330.8
 _FALSE_HEIGHT_M = 50.0
 
 
-class BaroConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
+class BaroConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
     """[baro]: its noise and its slow errors; it is used where [inputs] baro names a topic."""
 
-    false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of measurements expected to be false")] = 0.01
-    spacing_s: Annotated[
-        float, Meta(ge=0, le=3600, description="s: errors of readings closer than this are the same; only one of them is fused")
-    ] = 1.0
     sigma_m: Annotated[
         float, Meta(ge=1e-3, le=1e4, description="m: error by gusts and airspeed; a message's own noise is added")
     ] = 2.0
@@ -53,9 +50,9 @@ class BaroConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
             topic=reading.topic,
             kind="baro",
             order=order(reading.t_ns, "baro", reading.topic, pressure, variance),
-            rules=self,
+            rules=RULES["baro"],
             absolute=False,
-            log_false=log_false(self, [_FALSE_HEIGHT_M]),
+            log_false=log_false(RULES["baro"], [_FALSE_HEIGHT_M]),
             measurement=lambda _: z,
             slow_errors=(SlowError(reading.topic, slow, math.inf, _slow_jacobian, walk),),
         )

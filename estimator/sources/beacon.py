@@ -21,7 +21,8 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from estimator.sources.base.aid import Aid, Refusal, SensorRules, SlowError, log_false, order
+from estimator.sources.base.aid import Aid, Refusal, SensorConfig, SlowError, log_false, order
+from estimator.sources.base.rules import RULES
 from models import so3
 from models.measurements import Curved
 from models.messages import Array, Reading, Reason
@@ -75,16 +76,9 @@ class BeaconRange(Curved):
         return np.array([[_SAME * 0.25 * moment]])
 
 
-class BeaconConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
+class BeaconConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
     """[beacon]: ranges to known beacons (UWB); they are used where [inputs] beacon names topics."""
 
-    false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of measurements expected to be false")] = 0.05
-    spacing_s: Annotated[
-        float, Meta(ge=0, le=3600, description="s: errors of readings closer than this are the same; only one of them is fused")
-    ] = 0.2
-    hold_s: Annotated[
-        float, Meta(ge=0, le=1e6, description="s: how long a beacon is not used after a reading that failed its gate")
-    ] = 5.0
     at_n_m: Annotated[
         tuple[tuple[_Metres, _Metres, _Metres], ...],
         Meta(description="m: north, east, down of each beacon from the map's origin; topics end with its number, from 1 on"),
@@ -118,9 +112,9 @@ class BeaconConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
             topic=reading.topic,
             kind=reading.kind,
             order=order(reading.t_ns, reading.kind, reading.topic, z_m),
-            rules=self,
+            rules=RULES["beacon"],
             absolute=False,
-            log_false=log_false(self, [_FALSE_M]),
+            log_false=log_false(RULES["beacon"], [_FALSE_M]),
             measurement=lambda _: z,
             slow_errors=(slow,) * (self.slow_sigma_m > 0),
             weighs=False,

@@ -16,7 +16,7 @@ from msgspec import Meta
 
 from estimator.sources.base.aid import FALSE_POSITION_M, FALSE_VELOCITY_M_S, Aid, Refusal, SlowError, log_false, order
 from estimator.sources.base.covariance import covariance_refusal, with_default
-from estimator.sources.base.rules import SourceRules
+from estimator.sources.base.rules import RULES
 from models.frames import Origin
 from models.measurements import Position, Velocity
 from models.messages import GnssFix, GnssVelocity, Reason, ReceiverState
@@ -24,7 +24,7 @@ from models.messages import GnssFix, GnssVelocity, Reason, ReceiverState
 _AXES = np.arange(3)
 _FASTEST_M_S = 500.0
 _HIGHEST_M = 50_000.0
-_JAMMED_FALSE = 0.5  # share of false fixes of a receiver that reports jamming: as likely as not
+_JAMMED = msgspec.structs.replace(RULES["gnss"], false_share=0.5)  # a receiver that reports jamming: as likely as not
 _NOTHING = np.zeros((3, 3))  # is known of the accuracy
 _NO_ACCURACY = "the receiver gives no accuracy: [gnss] {} taken"
 
@@ -32,21 +32,9 @@ _NO_ACCURACY = "the receiver gives no accuracy: [gnss] {} taken"
 _Lever: TypeAlias = Annotated[float, Meta(ge=-100, le=100)]
 
 
-class GnssConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
+class GnssConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[gnss]: delay, lever arm, noise where the receiver gives none, and how the source is judged."""
 
-    false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of measurements expected to be false")] = 0.01
-    probation: Annotated[
-        int,
-        Meta(
-            ge=0,
-            le=1_000_000,
-            description="fixes that must pass before a (returning) GNSS is fused together with another absolute source",
-        ),
-    ] = 10
-    hold_s: Annotated[
-        float, Meta(ge=0, le=1e6, description="s: how long GNSS is held off when its innovations drift; 0: never")
-    ] = 10.0
     delay_s: Annotated[
         float, Meta(ge=-1, le=5, description="s: stamps are later than validity by this much; below 0: the IMU's are")
     ] = 0.0
@@ -95,7 +83,7 @@ def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
         return refusal
     lever = np.array(config.antenna_b_m)
     is_jammed = fix.state is ReceiverState.JAMMED
-    share = msgspec.structs.replace(config, false_share=max(config.false_share, _JAMMED_FALSE)) if is_jammed else config
+    rules = _JAMMED if is_jammed else RULES["gnss"]
 
     @cache  # a measurement that comes late has others done again
     def measurement(origin: Origin | None) -> Position | None:
@@ -108,9 +96,9 @@ def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
         topic=fix.topic,
         kind="gnss_position",
         order=order(t_ns, "gnss_position", fix.topic, *place, noise.tobytes()),
-        rules=config,
+        rules=rules,
         absolute=True,
-        log_false=log_false(share, [FALSE_POSITION_M] * 3),
+        log_false=log_false(rules, [FALSE_POSITION_M] * 3),
         measurement=measurement,
         log_misled=math.log(1.0 - config.trust) if config.trust < 1.0 else None,
         slow_errors=_slow("gnss", config.slow_sigma_m, config.slow_s),
@@ -139,9 +127,9 @@ def velocity_aid(velocity: GnssVelocity, config: GnssConfig) -> Aid | Refusal:
         topic=velocity.topic,
         kind="gnss_velocity",
         order=order(t_ns, "gnss_velocity", velocity.topic, v_n.tobytes(), noise.tobytes()),
-        rules=config,
+        rules=RULES["gnss"],
         absolute=False,
-        log_false=log_false(config, [FALSE_VELOCITY_M_S] * 3),
+        log_false=log_false(RULES["gnss"], [FALSE_VELOCITY_M_S] * 3),
         measurement=lambda _: z,
         uses_rate=True,
         slow_errors=_slow("gnss_velocity", config.velocity_slow_sigma_m_s, config.velocity_slow_s),

@@ -11,7 +11,8 @@ from typing import Annotated, TypeAlias
 import numpy as np
 from msgspec import Meta
 
-from estimator.sources.base.aid import Aid, Refusal, SensorRules, SlowError, log_false, order
+from estimator.sources.base.aid import Aid, Refusal, SensorConfig, SlowError, log_false, order
+from estimator.sources.base.rules import RULES
 from models.measurements import Heading
 from models.messages import Reading, Reason
 
@@ -19,13 +20,9 @@ _TURN = 2.0 * math.pi
 _Metres: TypeAlias = Annotated[float, Meta(ge=-100, le=100)]
 
 
-class HeadingConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
+class HeadingConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
     """[heading]: the two antennas and their errors; it is used where [inputs] heading names a topic."""
 
-    false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of measurements expected to be false")] = 0.01
-    spacing_s: Annotated[
-        float, Meta(ge=0, le=3600, description="s: errors of readings closer than this are the same; only one of them is fused")
-    ] = 0.2
     baseline_b_m: Annotated[
         tuple[_Metres, _Metres, _Metres],
         Meta(description="m: from the first antenna to the second, forward right down; along the nose if the heading is its"),
@@ -53,9 +50,9 @@ class HeadingConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
             topic=reading.topic,
             kind=reading.kind,
             order=order(t_ns, reading.kind, reading.topic, azimuth, given),
-            rules=self,
+            rules=RULES["heading"],
             absolute=False,
-            log_false=log_false(self, [math.pi]),
+            log_false=log_false(RULES["heading"], [math.pi]),
             measurement=lambda _: z,
             slow_errors=(SlowError(f"{reading.topic}.slow", slow, self.slow_s),) * (self.slow_sigma_deg > 0),
             assumed="" if is_given else f"the receiver gives no accuracy: [heading] sigma_deg {self.sigma_deg:g} taken",

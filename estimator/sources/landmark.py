@@ -8,6 +8,7 @@ from msgspec.structs import replace
 
 from estimator.sources.base.aid import FALSE_POSITION_M, Aid, Refusal, SlowError, log_false, order
 from estimator.sources.base.covariance import covariance_refusal
+from estimator.sources.base.rules import RULES
 from estimator.sources.pose import FARTHEST_M, WHOLE, PoseConfig, lasting, pose_aid, pose_of, slow_errors_of
 from models.measurements import DIRECTION_SCALE, Measurement, PartialPose
 from models.messages import Array, LandmarkFix, Reason
@@ -57,9 +58,9 @@ def _partial_aid(fix: LandmarkFix, directions: Array, readings: Array, config: P
         topic=fix.topic,
         kind="pose",
         order=order(t_ns, "pose", fix.topic, *content),
-        rules=config,
+        rules=RULES["pose"],
         absolute=_fixes_place(directions),
-        log_false=log_false(config, [FALSE_POSITION_M] * len(directions)),
+        log_false=log_false(RULES["pose"], [FALSE_POSITION_M] * len(directions)),
         measurement=lambda _: z,
         slow_errors=tuple(_seen_along(directions, slow) for slow in slow_errors),
         detail=f"{len(directions)} of 6 directions",

@@ -18,7 +18,8 @@ from typing import Annotated, Final, TypeAlias
 import numpy as np
 from msgspec import Meta
 
-from estimator.sources.base.aid import Aid, Refusal, SensorRules, SlowError, log_false, order
+from estimator.sources.base.aid import Aid, Refusal, SensorConfig, SlowError, log_false, order
+from estimator.sources.base.rules import RULES
 from models import so3
 from models.earth_field import field_n, year_of
 from models.frames import Origin
@@ -34,13 +35,9 @@ _Offset: TypeAlias = Annotated[float, Meta(ge=-1000, le=1000)]
 _Scale: TypeAlias = Annotated[float, Meta(ge=0.1, le=10)]
 
 
-class MagnetometerConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
+class MagnetometerConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
     """[magnetometer]: how it sits, its calibration and its errors; it is used where [inputs] magnetometer names a topic."""
 
-    false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of measurements expected to be false")] = 0.01
-    spacing_s: Annotated[
-        float, Meta(ge=0, le=3600, description="s: errors of readings closer than this are the same; only one of them is fused")
-    ] = 0.5
     mounting_rpy_deg: Annotated[
         tuple[_Degrees, _Degrees, _Degrees], Meta(description="deg: roll, pitch, yaw of the magnetometer in the body, as FRD")
     ] = (0.0, 0.0, 0.0)
@@ -93,9 +90,9 @@ class MagnetometerConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
             topic=reading.topic,
             kind=reading.kind,
             order=order(reading.t_ns, reading.kind, reading.topic, *reading.values),
-            rules=self,
+            rules=RULES["magnetometer"],
             absolute=False,
-            log_false=log_false(self, [_FALSE_RAD]),
+            log_false=log_false(RULES["magnetometer"], [_FALSE_RAD]),
             measurement=measurement,
             slow_errors=(iron,) * (self.hard_iron_sigma_ut > 0) + (place,) * (self.slow_sigma_deg > 0),
             weighs=False,

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import replace as widen
 from typing import Annotated, Literal, NamedTuple, TypeAlias
 
+import msgspec
 import numpy as np
 from msgspec import Meta
 from msgspec.structs import replace
@@ -22,7 +23,7 @@ from estimator.sources.base.aid import Aid, Refusal, SlowError, log_false, order
 from estimator.sources.base.covariance import covariance_refusal, with_default
 from estimator.sources.base.gating import cusum, gate
 from estimator.sources.base.machine import CUSUM_SLACK, Phase, SourceState
-from estimator.sources.base.rules import GateRules
+from estimator.sources.base.rules import RULES, Rules
 from models.messages import Array, OdometryDelta, OdometryPose, Reason
 from models.relative_pose import RelativePose, between
 
@@ -47,21 +48,9 @@ _NAMES: tuple[Row, ...] = ("x", "y", "z", "roll", "pitch", "yaw")
 _Rows: TypeAlias = NDArray[np.intp]
 
 
-class OdometryConfig(GateRules, frozen=True, forbid_unknown_fields=True):
+class OdometryConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[odometry]: its noise, and how it is judged; poses are used where [inputs] odometry names a topic."""
 
-    false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of increments expected to be false")] = 0.01
-    probation: Annotated[
-        int,
-        Meta(
-            ge=0,
-            le=1_000_000,
-            description="increments that must pass before (returning) odometry is fused together with a position",
-        ),
-    ] = 4
-    hold_s: Annotated[
-        float, Meta(ge=0, le=1e6, description="s: how long odometry is held off when it contradicts the estimate; 0: never")
-    ] = 10.0
     delay_s: Annotated[
         float, Meta(ge=-1, le=5, description="s: stamps are later than validity by this much; below 0: the IMU's are")
     ] = 0.0
@@ -165,8 +154,8 @@ def increment_aid(delta: OdometryDelta, config: OdometryConfig) -> Aid | Refusal
     of_cameras = delta.systematic is not None and len(rows) == _SIX
     reported = covariance * config.noise_scale**2 if of_cameras and np.trace(covariance[:_XYZ, :_XYZ]) > 0.0 else None
     end = Increment(name, RelativePose(dp, q, noise, rows), reported)
-    begin = _aid(t0_ns, delta, (t0_ns, "odometry_begin", delta.topic, name), config, Begins(t_ns, name, epoch), "odometry_begin")
-    return _aid(t_ns, delta, place, config, end, "odometry", (*_lasting(delta.topic, dp, config), *errors), begin, rows)
+    begin = _aid(t0_ns, delta, (t0_ns, "odometry_begin", delta.topic, name), Begins(t_ns, name, epoch), "odometry_begin")
+    return _aid(t_ns, delta, place, end, "odometry", (*_lasting(delta.topic, dp, config), *errors), begin, rows)
 
 
 def odometry_pose_aid(reading: OdometryPose, config: OdometryConfig) -> Aid | Refusal:
@@ -188,14 +177,13 @@ def odometry_pose_aid(reading: OdometryPose, config: OdometryConfig) -> Aid | Re
 
     t_ns = reading.t_ns - round(config.delay_s * 1e9)
     place = order(t_ns, "odometry", reading.topic, pose.tobytes(), reading.frame.encode())
-    return _aid(t_ns, reading, place, config, Posed(pose, reading.frame, since, config), "odometry", rows=rows)
+    return _aid(t_ns, reading, place, Posed(pose, reading.frame, since, config), "odometry", rows=rows)
 
 
 def _aid(
     t_ns: int,
     message: OdometryDelta | OdometryPose,
     place: tuple[int, str, str, bytes],
-    config: OdometryConfig,
     motion: Begins | Increment | Posed,
     kind: str,
     errors: tuple[SlowError, ...] = _NO_ERRORS,
@@ -210,9 +198,9 @@ def _aid(
         topic=message.topic,
         kind=kind,
         order=place,
-        rules=config,
+        rules=RULES["odometry"],
         absolute=False,
-        log_false=log_false(config, [_FALSE_M if k < _XYZ else _FALSE_RAD for k in given]),
+        log_false=log_false(RULES["odometry"], [_FALSE_M if k < _XYZ else _FALSE_RAD for k in given]),
         measurement=lambda _: z,
         slow_errors=errors,
         begin=begin,
@@ -333,7 +321,7 @@ def jumped(kept: Kept, t_ns: int, pose: Array) -> tuple[float, Array | None]:
     return off if off > _JUMP_M + _JUMP_M_S2 * dt * dt else 0.0, moved / dt
 
 
-def arrived(state: SourceState, rules: GateRules, t_ns: int, *, alone: bool) -> SourceState:
+def arrived(state: SourceState, rules: Rules, t_ns: int, *, alone: bool) -> SourceState:
     """An increment of t_ns comes in. An odometry that positions have found out comes back only together with a position."""
     was, drift, spread_m = state.phase, state.drift_m_s, spread_at(state, t_ns)
     state = replace(state.arrive(rules, t_ns, alone=alone and (state.held_until_ns == _NEVER or drift > 0.0)), spread_m=spread_m)
@@ -343,7 +331,7 @@ def arrived(state: SourceState, rules: GateRules, t_ns: int, *, alone: bool) -> 
     return replace(state, held_until_ns=_NEVER, drift_m_s=0.0 if is_cleared else drift)
 
 
-def widest(state: SourceState, rules: GateRules) -> float:
+def widest(state: SourceState, rules: Rules) -> float:
     """How far off a component may be, in sigma: less while increments contradict the estimate alike.
 
     Without increments the covariance grows until it lets the next wrong one in, and from then on all.
@@ -352,9 +340,7 @@ def widest(state: SourceState, rules: GateRules) -> float:
     return _DISPUTED_SIGMA if is_disputed else math.sqrt(gate(rules.gate_probability, 1))
 
 
-def judged(
-    state: SourceState, rules: GateRules, t_ns: int, *, alone: bool, passed: bool, off: Array, off_m_s: float
-) -> SourceState:
+def judged(state: SourceState, rules: Rules, t_ns: int, *, alone: bool, passed: bool, off: Array, off_m_s: float) -> SourceState:
     """The increment passed its gate or not; off (k,): its innovations in sigma; off_m_s: that of the translation, per second.
 
     It is stopped where they drift, in a sum that a single one cannot raise, also when it is alone: over the time of an increment

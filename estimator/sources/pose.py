@@ -5,6 +5,7 @@ from functools import cache, lru_cache
 from itertools import compress
 from typing import Annotated, NamedTuple, TypeAlias
 
+import msgspec
 import numpy as np
 from msgspec import Meta
 from numba import njit
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from estimator.sources.base.aid import FALSE_ATTITUDE_RAD, FALSE_POSITION_M, Aid, Refusal, SlowError, log_false, order
 from estimator.sources.base.covariance import covariance_refusal, with_default
-from estimator.sources.base.rules import SourceRules
+from estimator.sources.base.rules import RULES
 from models import so3
 from models.measurements import Measurement, Pose
 from models.messages import Array, LandmarkFix, PoseFix, Quat, Reason
@@ -58,7 +59,7 @@ _Share: TypeAlias = Annotated[
 ]
 
 
-class PoseConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
+class PoseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[pose_fix]: how pose fixes from outside are judged."""
 
     delay_s: Annotated[float, Meta(ge=-1, le=5, description="s: stamps are later than validity by this much")] = 0.0
@@ -155,9 +156,9 @@ def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
         topic=fix.topic,
         kind="pose",
         order=order(t_ns, "pose", fix.topic, p_n.tobytes(), q.tobytes(), covariance.tobytes()),
-        rules=config,
+        rules=RULES["pose"],
         absolute=all(given.mask.tolist()[:_XYZ]),
-        log_false=log_false(config, given.widths),
+        log_false=log_false(RULES["pose"], given.widths),
         measurement=lambda _: z,
         slow_errors=slow_errors,
         assumed=_NO_ACCURACY.format(config.position_sigma_m, config.attitude_sigma_deg) if is_assumed else "",

@@ -14,7 +14,8 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from estimator.sources.base.aid import Aid, Refusal, SensorRules, SlowError, log_false, order
+from estimator.sources.base.aid import Aid, Refusal, SensorConfig, SlowError, log_false, order
+from estimator.sources.base.rules import RULES
 from models import so3
 from models.measurements import Conditional
 from models.messages import Array, Reading, Reason
@@ -53,13 +54,9 @@ class RangeDown(Conditional):
         return f"tilted by {math.degrees(tilt):.0f} deg" if tilt > self.steepest else ""
 
 
-class RangeConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
+class RangeConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
     """[range]: a range finder that looks down; it is used where [inputs] range names a topic."""
 
-    false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of measurements expected to be false")] = 0.02
-    spacing_s: Annotated[
-        float, Meta(ge=0, le=3600, description="s: errors of readings closer than this are the same; only one of them is fused")
-    ] = 0.2
     ground_m: Annotated[
         _Height | None,
         Meta(description="m: height of the flat ground above the origin; none: that of the first reading, drifting"),
@@ -84,9 +81,9 @@ class RangeConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
             topic=reading.topic,
             kind=reading.kind,
             order=order(reading.t_ns, reading.kind, reading.topic, z_m),
-            rules=self,
+            rules=RULES["range"],
             absolute=False,
-            log_false=log_false(self, [_FALSE_HEIGHT_M]),
+            log_false=log_false(RULES["range"], [_FALSE_HEIGHT_M]),
             measurement=lambda _: z,
             slow_errors=(ground,) * (self.ground_m is None),
         )

@@ -12,13 +12,13 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
+import msgspec
 import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
 from estimator.sources.base.aid import Aid, SlowError, asked
 from estimator.sources.base.gating import gate
-from estimator.sources.base.rules import SourceRules
 from models import so3
 from models.measurements import Heading
 from models.messages import Array
@@ -32,7 +32,7 @@ _ZERO = 0.95  # share of velocities at rest that are taken for zero
 _WALK = 1e-12  # rad^2/s: of a heading that stays
 
 
-class RestConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
+class RestConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[rest]: zero-velocity and zero-rotation updates; for what stands on the ground, not what hovers or floats."""
 
     enabled: Annotated[bool, Meta(description="whether a vehicle that the IMU shows at rest is taken to be at rest")] = False
@@ -76,10 +76,10 @@ class Rest:
         return nu, h
 
 
-def rest_aid(t_ns: int, config: RestConfig) -> Aid:
+def rest_aid(t_ns: int) -> Aid:
     """The question whether the vehicle is at rest at t_ns, which the IMU samples before it answer."""
     heading = SlowError(BLOCK, np.zeros((1, 1)), math.inf, np.eye(7)[:, :1], np.array([_WALK]))
-    return asked(t_ns, TOPIC, config, [math.pi] + [10.0] * 3 + [1.0] * 3, (heading,))
+    return asked(t_ns, TOPIC, [math.pi] + [10.0] * 3 + [1.0] * 3, (heading,))
 
 
 def is_quiet(u: Array, config: RestConfig) -> bool:

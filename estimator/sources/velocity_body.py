@@ -14,8 +14,9 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from estimator.sources.base.aid import FALSE_VELOCITY_M_S, Aid, Refusal, SensorRules, SlowError, log_false, order
+from estimator.sources.base.aid import FALSE_VELOCITY_M_S, Aid, Refusal, SensorConfig, SlowError, log_false, order
 from estimator.sources.base.covariance import covariance_refusal
+from estimator.sources.base.rules import RULES
 from models import so3
 from models.messages import Array, Reading, Reason
 from models.state import E, X
@@ -43,16 +44,9 @@ class BodyVelocity:
         return nu[self.rows], h[self.rows]
 
 
-class VelocityBodyConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
+class VelocityBodyConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
     """[velocity_body]: the sensor and its errors; it is used where [inputs] velocity_body names a topic."""
 
-    false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of measurements expected to be false")] = 0.01
-    spacing_s: Annotated[
-        float, Meta(ge=0, le=3600, description="s: errors of readings closer than this are the same; only one of them is fused")
-    ] = 0.1
-    hold_s: Annotated[
-        float, Meta(ge=0, le=1e6, description="s: how long it is not used after a reading that failed its gate")
-    ] = 5.0
     delay_s: Annotated[float, Meta(ge=-1, le=5, description="s: stamps are later than validity by this much")] = 0.0
     lever_b_m: Annotated[tuple[_Lever, _Lever, _Lever], Meta(description="m: sensor from the IMU, forward right down")] = (
         0.0,
@@ -96,9 +90,9 @@ class VelocityBodyConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
             topic=reading.topic,
             kind=reading.kind,
             order=order(t_ns, reading.kind, reading.topic, *reading.values, noise.tobytes()),
-            rules=self,
+            rules=RULES["velocity_body"],
             absolute=False,
-            log_false=log_false(self, [FALSE_VELOCITY_M_S] * len(rows)),
+            log_false=log_false(RULES["velocity_body"], [FALSE_VELOCITY_M_S] * len(rows)),
             measurement=lambda _: z,
             slow_errors=(scale,) * (self.scale_sigma > 0) + (mount,) * (self.mount_deg > 0),
             weighs=False,

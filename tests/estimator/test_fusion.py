@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from estimator.fusion import EstimatorConfig, Fusion, FusionConfig
+from estimator.sources.base.rules import RULES
 from models import so3
 from models.imu import Coast
 from models.messages import Array, GnssFix, GnssVelocity, ImuSample, Input, Mode, PoseFix, Reason, Tick, vec3
@@ -329,7 +330,7 @@ def test_a_gnss_that_comes_back_is_on_probation_beside_landmarks() -> None:
     reasons = [s.reason for s in sorted(back, key=lambda s: s.t_ns)]
     probation = reasons.index(Reason.FUSED)
     assert set(reasons[:probation]) == {Reason.PROBATION}
-    assert probation == config_of(simulation).gnss.probation
+    assert probation == RULES["gnss"].probation
     assert reasons[probation:].count(Reason.FUSED) > 0.95 * len(reasons[probation:])
 
 

@@ -8,6 +8,8 @@ from msgspec import Meta
 from estimator.filter.alignment.initialise import InitialiseConfig
 from estimator.filter.bounds import BoundsConfig
 from estimator.sources.aids import SourcesConfig
+from estimator.sources.air.drag import DragConfig
+from estimator.sources.rest import RestConfig
 from models.frames import Origin
 from models.imu import Coast, ImuNoise
 
@@ -30,3 +32,5 @@ class TrackerConfig(msgspec.Struct, frozen=True, kw_only=True):
     origin: Origin | None
     dead_reckoning_after_s: Annotated[float, Meta(gt=0)] = 3.0
     bounds: BoundsConfig = BoundsConfig()
+    rest: RestConfig = RestConfig()
+    drag: DragConfig = DragConfig()

@@ -14,7 +14,8 @@ from msgspec import Meta
 
 from estimator.sources.air.through_air import AirVelocity, density_ratio, scale_of
 from estimator.sources.air.wind import WindConfig, estimated, wind_errors
-from estimator.sources.base.aid import FALSE_VELOCITY_M_S, Aid, Refusal, SensorRules, SlowError, log_false, order
+from estimator.sources.base.aid import FALSE_VELOCITY_M_S, Aid, Refusal, SensorConfig, SlowError, log_false, order
+from estimator.sources.base.rules import RULES
 from models.frames import Origin
 from models.messages import Reading, Reason
 
@@ -23,16 +24,9 @@ _NOSE, _AND_SIDE = np.arange(1), np.arange(2)
 _USUAL = WindConfig()
 
 
-class AirspeedConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
+class AirspeedConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
     """[airspeed]: the pitot tube and its errors; it is used where [inputs] airspeed names a topic."""
 
-    false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of measurements expected to be false")] = 0.01
-    spacing_s: Annotated[
-        float, Meta(ge=0, le=3600, description="s: errors of readings closer than this are the same; only one of them is fused")
-    ] = 0.2
-    hold_s: Annotated[
-        float, Meta(ge=0, le=1e6, description="s: how long it is not used after a reading that failed its gate")
-    ] = 30.0
     delay_s: Annotated[float, Meta(ge=-1, le=5, description="s: stamps are later than validity by this much")] = 0.0
     indicated: Annotated[
         bool, Meta(description="whether readings are indicated airspeed, as of the density at sea level, or true airspeed")
@@ -73,9 +67,9 @@ class AirspeedConfig(SensorRules, frozen=True, forbid_unknown_fields=True):
             topic=reading.topic,
             kind=reading.kind,
             order=order(t_ns, reading.kind, reading.topic, speed, given),
-            rules=self,
+            rules=RULES["airspeed"],
             absolute=False,
-            log_false=log_false(self, [FALSE_VELOCITY_M_S] * len(z.rows)),
+            log_false=log_false(RULES["airspeed"], [FALSE_VELOCITY_M_S] * len(z.rows)),
             measurement=measurement,
             slow_errors=(
                 *(scale,) * (self.scale_sigma > 0),

@@ -9,6 +9,7 @@ Both stay, and are estimated. The IMU itself asks, every_s; on the ground nothin
 import math
 from typing import Annotated
 
+import msgspec
 import numpy as np
 from msgspec import Meta
 from msgspec.structs import replace
@@ -16,7 +17,6 @@ from msgspec.structs import replace
 from estimator.sources.air.through_air import SEA_LEVEL_KG_M3, DragForce, scale_of
 from estimator.sources.air.wind import WindConfig, estimated, wind_errors
 from estimator.sources.base.aid import FALSE_VELOCITY_M_S, Aid, asked
-from estimator.sources.base.rules import SourceRules
 from models.frames import GRAVITY
 from models.messages import Array
 
@@ -24,13 +24,10 @@ TOPIC = "drag"
 _ACROSS = slice(3, 5)  # specific force along x and y, of gyro and accelerometer
 
 
-class DragConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
+class DragConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[drag]: of a multirotor in flight; PX4's EKF2_MCOEF and EKF2_BCOEF."""
 
     enabled: Annotated[bool, Meta(description="whether drag shows a multirotor's velocity through the air")] = False
-    hold_s: Annotated[
-        float, Meta(ge=0, le=1e6, description="s: how long it is not used after a reading that failed its gate")
-    ] = 30.0
     every_s: Annotated[float, Meta(ge=0.02, le=10, description="s: between two readings, each the mean over that time")] = 0.1
     momentum_1_s: Annotated[
         float, Meta(ge=0.01, le=10, description="1/s: drag of the rotors, force per mass and m/s (PX4 EKF2_MCOEF)")
@@ -45,9 +42,9 @@ class DragConfig(SourceRules, frozen=True, forbid_unknown_fields=True):
     )
 
 
-def drag_aid(t_ns: int, config: DragConfig, wind: WindConfig) -> Aid:
+def drag_aid(t_ns: int, wind: WindConfig) -> Aid:
     """The question what the drag is at t_ns, which the IMU samples before it answer."""
-    return asked(t_ns, TOPIC, config, [FALSE_VELOCITY_M_S] * 2, wind_errors(wind, 2))
+    return asked(t_ns, TOPIC, [FALSE_VELOCITY_M_S] * 2, wind_errors(wind, 2))
 
 
 def felt(aid: Aid, u: Array, config: DragConfig) -> tuple[Aid, DragForce]:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from estimator.sources.base.rules import GateRules, SourceRules
+from estimator.sources.base.rules import RULES, Rules
 from models.frames import Origin
 from models.measurements import Measurement
 from models.messages import Array, Reading, Reason
@@ -34,7 +34,7 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
     topic: str
     kind: str
     order: tuple[int, str, str, bytes]
-    rules: GateRules
+    rules: Rules
     absolute: bool
     log_false: float
     measurement: Callable[[Origin | None], Measurement | None]
@@ -52,12 +52,6 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
     delay_sigma_s: float = 0.0
 
     @property
-    def hypothetical(self) -> SourceRules:
-        """The rules of a source whose readings compete as hypotheses, which all are but odometry."""
-        assert isinstance(self.rules, SourceRules)
-        return self.rules
-
-    @property
     def is_reported(self) -> bool:
         """Whether its decision is one to report."""
         return True
@@ -73,7 +67,7 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
         return self.receiver or self.topic
 
 
-class SensorRules(SourceRules, frozen=True, forbid_unknown_fields=True):
+class SensorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The section of an optional sensor: it is off until its key in [inputs] names a topic."""
 
     def aid(self, reading: Reading) -> "Aid | Refusal":
@@ -113,7 +107,7 @@ class Refusal(NamedTuple):
 FALSE_POSITION_M, FALSE_ATTITUDE_RAD, FALSE_VELOCITY_M_S = 50.0, 1.0, 30.0
 
 
-def log_false(rules: GateRules, half_widths: Sequence[float]) -> float:
+def log_false(rules: Rules, half_widths: Sequence[float]) -> float:
     """ln(share x density) of a false reading, uniform in a box of these half widths."""
     return _log_uniform(rules.false_share, tuple(half_widths))
 
@@ -133,7 +127,7 @@ def _no_reading(_: object) -> "Measurement | None":
     return None
 
 
-def asked(t_ns: int, topic: str, rules: SourceRules, half_widths: Sequence[float], slow: "tuple[SlowError, ...]") -> Aid:
+def asked(t_ns: int, topic: str, half_widths: Sequence[float], slow: "tuple[SlowError, ...]") -> Aid:
     """What the IMU itself shows at t_ns, with no reading of a sensor: the samples before it give the measurement."""
     return Aid(
         t_ns=t_ns,
@@ -141,9 +135,9 @@ def asked(t_ns: int, topic: str, rules: SourceRules, half_widths: Sequence[float
         topic=topic,
         kind=topic,
         order=order(t_ns, topic, topic),
-        rules=rules,
+        rules=RULES[topic],
         absolute=False,
-        log_false=log_false(rules, half_widths),
+        log_false=log_false(RULES[topic], half_widths),
         measurement=_no_reading,
         slow_errors=slow,
         weighs=False,

@@ -12,7 +12,7 @@ import msgspec
 from msgspec.structs import replace
 
 from estimator.sources.base.gating import cusum
-from estimator.sources.base.rules import GateRules
+from estimator.sources.base.rules import Rules
 from models.messages import Array
 
 _NEVER = -(2**62)
@@ -42,7 +42,7 @@ class SourceState(msgspec.Struct, frozen=True):
     is_refuted: bool = False  # gates failed for longer than hold_s, while positions confirmed the estimate
     spread_m: tuple[float, float] = (math.inf, 0.0)  # of odometry: smallest and largest sigma of late, fading since last_ns
 
-    def arrive(self, rules: GateRules, t_ns: int, *, alone: bool) -> "SourceState":
+    def arrive(self, rules: Rules, t_ns: int, *, alone: bool) -> "SourceState":
         """A measurement of t_ns comes in; alone: no other absolute source is active, so there is no independent source.
 
         Alone, a sensor that has been refuted stays stopped: the estimate's covariance grows, until anything passes the gate.
@@ -71,15 +71,13 @@ class SourceState(msgspec.Struct, frozen=True):
         """How far the source is trusted at t_ns, with nothing newer from it than this state knows of."""
         return Phase.STOPPED if t_ns > self.silent_ns else self.phase
 
-    def held(self, rules: GateRules, t_ns: int, *, alone: bool = True) -> "SourceState":
+    def held(self, rules: Rules, t_ns: int, *, alone: bool = True) -> "SourceState":
         """A reading failed: one that passes soon after does so by chance, of a sensor that is stuck or late."""
         hold_ns, since_ns = round(rules.hold_s * 1e9), max(self.failed_ns, 0) or t_ns
         is_refuted = self.is_refuted or (not alone and 0 < hold_ns < t_ns - since_ns)
         return replace(self, phase=Phase.STOPPED, held_until_ns=t_ns + hold_ns, failed_ns=since_ns, is_refuted=is_refuted)
 
-    def judge(
-        self, rules: GateRules, t_ns: int, *, alone: bool, passed: bool, fused: bool, nu: Array, sigma: Array
-    ) -> "SourceState":
+    def judge(self, rules: Rules, t_ns: int, *, alone: bool, passed: bool, fused: bool, nu: Array, sigma: Array) -> "SourceState":
         """The measurement passed its gate or not, was fused or not.
 
         A drift is the source's only where an independent source agrees with the filter: alone, the filter may be what drifts.

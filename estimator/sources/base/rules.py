@@ -1,33 +1,43 @@
-"""The rules by which a source is judged: keys of its section in the configuration."""
+"""How the readings of a source are judged, as data.
 
-from typing import Annotated
+    gate         nu^T S^-1 nu < chi2(gate_probability), over all components at once
+    false_share  of the readings are false, uniform within what is plausible
+    probation    readings of a returning source pass the gate before it is fused beside another position
+    hold_s       for so long a source is not used that failed its gate or whose innovations drift; 0: it is never held off
+    spacing_s    errors of readings closer than this are the same: one of them is fused
+    timeout_s    without a reading for so long, the source has stopped
+
+Shares are of the order that loose handling of such sensors gives; a spacing is the correlation time of the sensor's own filter.
+"""
+
+from typing import Final
 
 import msgspec
-from msgspec import Meta
 
 
-class GateRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How a source is judged."""
+class Rules(msgspec.Struct, frozen=True):
+    """See above."""
 
-    gate_probability: Annotated[
-        float, Meta(gt=0.5, lt=1, description="share of good measurements that pass the chi-square gate")
-    ] = 0.9999
-    timeout_s: Annotated[float, Meta(ge=1e-3, le=1e6, description="s: silent for longer, the source has stopped")] = 5.0
-    false_share: Annotated[float, Meta(ge=1e-9, lt=1, description="share of measurements expected to be false")] = 0.05
-    probation: Annotated[
-        int,
-        Meta(
-            ge=0,
-            le=1_000_000,
-            description="measurements that must pass before a (returning) source is fused together with another one",
-        ),
-    ] = 0
-    hold_s: Annotated[float, Meta(ge=0, le=1e6, description="s: how long a rejected source is held off; 0: never")] = 0.0
+    false_share: float = 0.05
+    probation: int = 0
+    hold_s: float = 0.0
+    spacing_s: float = 0.0
+    timeout_s: float = 5.0
+    gate_probability: float = 0.9999
 
 
-class SourceRules(GateRules, frozen=True, forbid_unknown_fields=True):
-    """How a source is judged whose readings may be false for a while, and so compete as hypotheses."""
-
-    spacing_s: Annotated[
-        float, Meta(ge=0, le=3600, description="s: errors of readings closer than this are the same; only one of them is fused")
-    ] = 0.0
+RULES: Final = {
+    "pose": Rules(),
+    "gnss": Rules(false_share=0.01, probation=10, hold_s=10.0),
+    "odometry": Rules(false_share=0.01, probation=4, hold_s=10.0),
+    "velocity_body": Rules(false_share=0.01, hold_s=5.0, spacing_s=0.1),
+    "airspeed": Rules(false_share=0.01, hold_s=30.0, spacing_s=0.2),
+    "drag": Rules(hold_s=30.0),
+    "rest": Rules(),
+    "baro": Rules(false_share=0.01, spacing_s=1.0),
+    "range": Rules(false_share=0.02, spacing_s=0.2),
+    "beacon": Rules(false_share=0.05, hold_s=5.0, spacing_s=0.2),
+    "heading": Rules(false_share=0.01, spacing_s=0.2),
+    "magnetometer": Rules(false_share=0.01, spacing_s=0.5),
+    "imu": Rules(),
+}

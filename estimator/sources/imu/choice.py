@@ -32,7 +32,7 @@ import numpy as np
 from msgspec import Meta
 
 from estimator.sources.base.aid import Aid, order
-from estimator.sources.base.rules import GateRules
+from estimator.sources.base.rules import RULES
 from estimator.sources.imu.stream import BLOCK_NS, Stream
 from models.messages import Array, ImuSample
 
@@ -47,7 +47,6 @@ _AXES = 6
 _WHERE_REFUTED = 0.25  # of the thresholds, where positions contradict the estimate
 _UNSEEN_NS = 4_000_000_000  # for so long the fault may have been too small to be seen
 _DOUBT_NS = 60_000_000_000  # a contradiction is reported for so long
-_RULES = GateRules()
 _AGAIN_NS = 10_000_000_000  # an IMU that has failed is not chosen again for so long
 
 
@@ -226,7 +225,7 @@ def imu_aid(change: TakeOver, t_ns: int, arrived_ns: int, unknown: tuple[float, 
         topic=change.topic,
         kind=KIND,
         order=order(t_ns, KIND, change.topic),
-        rules=_RULES,
+        rules=RULES["imu"],
         absolute=False,
         log_false=0.0,
         measurement=lambda _: None,

@@ -1,6 +1,6 @@
 """What `landfix tune` may turn: keys of the configuration, how far, and how they are written back.
 
-Every key is searched on a logarithmic scale; of a gate's probability it is what it lets be lost, 1 - p.
+Every key is searched on a logarithmic scale.
 """
 
 import re
@@ -39,16 +39,11 @@ _NOISE: Final = (
     Key("wind.gust_m_s", 0.1, 5.0, "wind"),
 )
 _TRUTH: Final = (Key("gnss.slow_sigma_m", 0.01, 10.0, "gnss"),)  # not identifiable from the receiver itself
-_GATES: Final = tuple(
-    Key(f"{source}.{name}", low, high, source)
-    for source in ("pose_fix", "landmark_fix", "gnss")
-    for name, low, high in (("gate_probability", 0.99, 1.0 - 1e-7), ("false_share", 1e-3, 0.3))
-)
-KEYS: Final = {key.name: key for key in (*_NOISE, *_TRUTH, *_GATES)}
+KEYS: Final = {key.name: key for key in (*_NOISE, *_TRUTH)}
 
 
-def chosen(sources: Collection[str], named: Iterable[str] = (), gates: bool = False, truth: bool = False) -> list[Key]:
-    """The keys to turn: those named, else all noise parameters that the sources have use for (truth: there is one), and gates.
+def chosen(sources: Collection[str], named: Iterable[str] = (), truth: bool = False) -> list[Key]:
+    """The keys to turn: those named, else all noise parameters that the sources have use for (truth: there is one).
 
     Raises ConfigError for a name that is no such key.
     """
@@ -57,7 +52,7 @@ def chosen(sources: Collection[str], named: Iterable[str] = (), gates: bool = Fa
         raise ConfigError(f"--vary {unknown[0]}: cannot be tuned; there are {', '.join(KEYS)}")
     if names:
         return [KEYS[name] for name in names]
-    wanted = (*_NOISE, *(_TRUTH if truth else ()), *(_GATES if gates else ()))
+    wanted = (*_NOISE, *(_TRUTH if truth else ()))
     return [key for key in wanted if not key.needs or key.needs in sources]
 
 
@@ -68,16 +63,13 @@ def value_of(config: Config, key: Key) -> float:
 
 
 def to_search(key: Key, value: float) -> float:
-    """log10 of the value, of a probability's complement; inside the bounds."""
-    value = float(np.clip(value, key.low, key.high))
-    return float(np.log10(1.0 - value if key.name.endswith("probability") else value))
+    """log10 of the value, inside the bounds."""
+    return float(np.log10(np.clip(value, key.low, key.high)))
 
 
 def from_search(key: Key, place: float) -> float:
     """The value at a place of the search, to three digits."""
-    power = float(f"{10.0**place:.3g}")
-    value = 1.0 - power if key.name.endswith("probability") else power
-    return float(np.clip(value, key.low, key.high))
+    return float(np.clip(float(f"{10.0**place:.3g}"), key.low, key.high))
 
 
 def bounds(key: Key) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Search of noise parameters and gates over logs: coarse by a Sobol' sequence, fine by COBYQA, judged by score.py.
+"""Search of noise parameters over logs: coarse by a Sobol' sequence, fine by COBYQA, judged by score.py.
 
 COBYQA (Ragonneau & Zhang 2024) is a trust-region method with quadratic models and bounds that needs no derivatives and few
 evaluations. Each evaluation runs every log once, in parallel; nothing depends on how many processes there are.

@@ -15,10 +15,9 @@ from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.tracker import Tracker
 from estimator.fusion import EstimatorConfig, Fusion, FusionConfig
 from estimator.sources.base.aid import Aid
-from estimator.sources.pose import PoseConfig
 from logs.wire.codec import encode
 from models.imu import Coast, ImuNoise
-from models.messages import AidStatus, Estimate, GnssFix, Health, ImuSample, Input, PoseFix, Reason, Tick
+from models.messages import AidStatus, Estimate, GnssFix, Health, ImuSample, Input, PoseFix, Reading, Reason, Tick
 from models.sim.scenario import EPOCH_NS, Simulation
 from models.state import X
 from tests.estimator.scenes import (
@@ -209,19 +208,23 @@ def test_catching_up_at_any_time_changes_no_word(flight: Simulation, messages: l
 
 
 def test_a_decision_that_changes_back_before_the_next_output_is_not_reported_again() -> None:
-    """Fixes 0.5 s apart; one shortly before the last thins it out, until another before that one thins it out itself.
+    """A heading shortly before the last one thins it out, until another before that one thins it out itself.
 
     The IMU goes missing meanwhile, so all is worked in at once.
     """
-    fusion = Fusion(FusionConfig(pose_fix=PoseConfig(spacing_s=0.2)))
-    run = Run(fusion).feed(hover(8.0))
-    last = max(s.t_ns for s in run.statuses if s.kind == "pose")
+    fusion = Fusion(FusionConfig())
+    last = EPOCH_NS + 7 * SECOND + SECOND // 2
+    run = Run(fusion).feed(by_arrival([*hover(8.0), _heading(last)]))
     said = len(run.statuses)
     end = EPOCH_NS + 8 * SECOND + SECOND // 100
-    run.feed([pose_fix(last - 150 * SECOND // 1000), _sample(end)])
+    run.feed([_heading(last - 150 * SECOND // 1000), _sample(end)])
     fusion.catch_up()
-    run.feed([pose_fix(last - 250 * SECOND // 1000), Tick(end + SECOND, end + SECOND)])
+    run.feed([_heading(last - 250 * SECOND // 1000), Tick(end + SECOND, end + SECOND)])
     assert {(last - s.t_ns) // 1_000_000: s.reason for s in run.statuses[said:]} == {250: Reason.FUSED, 150: Reason.THINNED}
+
+
+def _heading(t_ns: int) -> Reading:
+    return Reading(t_ns, t_ns, "/heading", "heading", (0.0,))
 
 
 def test_counts_of_health_are_the_last_decisions(flight: Simulation, messages: list[Input]) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from estimator.sources.aids import aid_of
 from estimator.sources.base.aid import FALSE_POSITION_M, Aid, Refusal
+from estimator.sources.base.rules import RULES
 from estimator.sources.landmark import landmark_aid
 from estimator.sources.pose import LandmarkFixConfig, PoseConfig, pose_aid
 from models import so3
@@ -51,7 +52,7 @@ def test_it_measures_what_its_directions_let_through() -> None:
     assert len(z.rows) == 4
     aid = _aid(_fix())
     assert (aid.kind, aid.detail) == ("pose", "4 of 6 directions")
-    assert aid.log_false == pytest.approx(math.log(ALONE.false_share) - 4 * math.log(2.0 * FALSE_POSITION_M))
+    assert aid.log_false == pytest.approx(math.log(RULES["pose"].false_share) - 4 * math.log(2.0 * FALSE_POSITION_M))
 
 
 def test_what_is_wide_where_it_was_not_measured_changes_nothing() -> None:

@@ -10,6 +10,7 @@ from estimator.sources import odometry
 from estimator.sources.aids import SourcesConfig, aid_of
 from estimator.sources.base.aid import Refusal
 from estimator.sources.base.machine import Phase, SourceState
+from estimator.sources.base.rules import RULES
 from estimator.sources.odometry import Increment, Kept, OdometryAid, OdometryConfig, Posed
 from models.messages import OdometryDelta, OdometryPose, Reason
 
@@ -17,6 +18,7 @@ SECOND = 10**9
 T0, T1 = 100 * SECOND, 100 * SECOND + SECOND // 2
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 DELTA = OdometryDelta(T1, T1, T0, (2.0, 0.0, 0.0), LEVEL, np.diag([0.02**2] * 3 + [0.002**2] * 3))
+_RULES = RULES["odometry"]
 PLAIN = OdometryConfig(position_sigma_m=0.005, attitude_sigma_deg=0.05, position_share=0.01, lasting_share=0.01, scale_sigma=0.02)
 
 
@@ -195,9 +197,9 @@ def test_a_jump_leaves_the_line_by_more_than_a_vehicle_can() -> None:
 
 def _after(state: SourceState, off: float, times: int, *, alone: bool = True) -> SourceState:
     for k in range(times):
-        state = odometry.arrived(state, PLAIN, T0 + k * SECOND // 2, alone=alone)
+        state = odometry.arrived(state, _RULES, T0 + k * SECOND // 2, alone=alone)
         state = odometry.judged(
-            state, PLAIN, T0 + k * SECOND // 2, alone=alone, passed=off < 5.0, off=np.array([off, 0.0]), off_m_s=0.3
+            state, _RULES, T0 + k * SECOND // 2, alone=alone, passed=off < 5.0, off=np.array([off, 0.0]), off_m_s=0.3
         )
     return state
 
@@ -212,13 +214,13 @@ def test_one_outlier_stops_nothing_and_a_drift_does() -> None:
 def test_what_contradicted_the_imu_alone_comes_back_as_one_that_may_drift_as_much() -> None:
     held = _after(SourceState(), 100.0, 6)
     assert held.drift_m_s == 0.3
-    assert odometry.arrived(held, PLAIN, T0 + 5 * SECOND, alone=True).phase is Phase.STOPPED
-    state = odometry.arrived(held, PLAIN, T0 + 14 * SECOND, alone=True)
+    assert odometry.arrived(held, _RULES, T0 + 5 * SECOND, alone=True).phase is Phase.STOPPED
+    state = odometry.arrived(held, _RULES, T0 + 14 * SECOND, alone=True)
     assert state.phase is Phase.ACTIVE
     assert state.drift_m_s == 0.3
     for k in range(4):
-        state = odometry.arrived(state, PLAIN, T0 + (15 + k) * SECOND, alone=False)
-        state = odometry.judged(state, PLAIN, T0 + (15 + k) * SECOND, alone=False, passed=True, off=np.zeros(2), off_m_s=0.0)
+        state = odometry.arrived(state, _RULES, T0 + (15 + k) * SECOND, alone=False)
+        state = odometry.judged(state, _RULES, T0 + (15 + k) * SECOND, alone=False, passed=True, off=np.zeros(2), off_m_s=0.0)
     assert (state.phase, state.drift_m_s) == (Phase.ACTIVE, 0.0)
 
 
@@ -228,10 +230,10 @@ def test_what_positions_have_stopped_comes_back_only_beside_a_position() -> None
     later = T0 + 60 * SECOND
     state = held
     for k in range(20):
-        state = odometry.arrived(state, PLAIN, later + k * SECOND // 2, alone=True)
-        state = odometry.judged(state, PLAIN, later + k * SECOND // 2, alone=True, passed=True, off=np.zeros(2), off_m_s=0.0)
+        state = odometry.arrived(state, _RULES, later + k * SECOND // 2, alone=True)
+        state = odometry.judged(state, _RULES, later + k * SECOND // 2, alone=True, passed=True, off=np.zeros(2), off_m_s=0.0)
     assert state.phase is not Phase.ACTIVE
     for k in range(20, 26):
-        state = odometry.arrived(state, PLAIN, later + k * SECOND // 2, alone=False)
-        state = odometry.judged(state, PLAIN, later + k * SECOND // 2, alone=False, passed=True, off=np.zeros(2), off_m_s=0.0)
+        state = odometry.arrived(state, _RULES, later + k * SECOND // 2, alone=False)
+        state = odometry.judged(state, _RULES, later + k * SECOND // 2, alone=False, passed=True, off=np.zeros(2), off_m_s=0.0)
     assert state.phase is Phase.ACTIVE

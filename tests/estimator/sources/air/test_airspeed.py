@@ -64,6 +64,6 @@ def test_wind_is_estimated_gusts_are_considered_and_a_sideslip_has_a_row_of_its_
 def test_drag_shares_the_wind_and_has_a_tilt_and_a_scale_of_its_own() -> None:
     config = DragConfig(enabled=True, momentum_1_s=0.2)
     u = np.array([[0.0, 0.0, 0.0, -1.0, 0.0, -9.8], [0.0, 0.0, 0.0, -0.6, 0.2, -9.8]])
-    aid, z = felt(drag_aid(10**9, config, WindConfig()), u, config)
+    aid, z = felt(drag_aid(10**9, WindConfig()), u, config)
     np.testing.assert_allclose(z.velocity(z.f_b)[0], [4.0, -0.5])  # pushed back: it flies forward through the air
     assert [slow.block for slow in aid.slow_errors] == ["drag.tilt", "drag.scale", WIND, GUST]

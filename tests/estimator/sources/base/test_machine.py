@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from estimator.sources.base.aid import log_false, order
 from estimator.sources.base.covariance import covariance_refusal
 from estimator.sources.base.machine import Phase, SourceState
-from estimator.sources.base.rules import SourceRules
+from estimator.sources.base.rules import Rules
 from models.messages import Array, Reason
 
 SECOND = 10**9
-RULES = SourceRules(timeout_s=5.0, probation=3, hold_s=10.0)
+RULES = Rules(timeout_s=5.0, probation=3, hold_s=10.0)
 GOOD, SIGMA = np.zeros(3), np.ones(3)
 
 
@@ -35,7 +35,7 @@ def test_equal_content_has_an_equal_position_and_other_content_another(a: float,
 
 
 def test_log_false_is_the_logarithm_of_share_and_density() -> None:
-    assert log_false(SourceRules(false_share=0.1), [50.0, 50.0, 1.0]) == pytest.approx(math.log(0.1 / (100.0 * 100.0 * 2.0)))
+    assert log_false(Rules(false_share=0.1), [50.0, 50.0, 1.0]) == pytest.approx(math.log(0.1 / (100.0 * 100.0 * 2.0)))
 
 
 # --- covariances -----------------------------------------------------------------------------------------------------------
@@ -147,7 +147,7 @@ def test_a_source_that_is_alone_is_not_blamed_for_a_drift() -> None:
 
 
 def test_without_hold_off_no_drift_stops_it() -> None:
-    rules = SourceRules(hold_s=0.0)
+    rules = Rules(hold_s=0.0)
     state = SourceState(phase=Phase.ACTIVE, last_ns=0, silent_ns=SECOND)
     for k in range(100):
         state = state.arrive(rules, k * SECOND, alone=False)

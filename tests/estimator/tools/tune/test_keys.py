@@ -38,19 +38,15 @@ def test_every_key_is_one_of_the_configuration_and_its_default_lies_inside_the_b
     assert from_search(key, high + 1.0) in {key.low, key.high}
 
 
-def test_noise_is_searched_by_its_logarithm_and_a_probability_by_that_of_what_is_lost() -> None:
+def test_noise_is_searched_by_its_logarithm() -> None:
     assert to_search(KEYS["imu.gyro_noise"], 1e-3) == pytest.approx(-3.0)
-    assert to_search(KEYS["pose_fix.gate_probability"], 0.999) == pytest.approx(-3.0)
-    assert from_search(KEYS["pose_fix.gate_probability"], -4.0) == pytest.approx(0.9999, abs=1e-12)
     assert from_search(KEYS["imu.gyro_noise"], math.log10(0.00123456)) == 0.00123
 
 
 def test_what_is_turned_is_what_the_log_can_tell() -> None:
     names = [key.name for key in chosen({"pose_fix"})]
     assert names == ["imu.gyro_noise", "imu.accel_noise", "imu.gyro_walk", "imu.accel_walk", "pose_fix.noise_scale"]
-    assert {"gnss.slow_sigma_m", "gnss.gate_probability", "gnss.false_share"} <= {
-        k.name for k in chosen({"gnss"}, gates=True, truth=True)
-    }
+    assert "gnss.slow_sigma_m" in {key.name for key in chosen({"gnss"}, truth=True)}
     assert not any("gnss" in key.name for key in chosen({"gnss"})), "a receiver does not tell its slow error"
     assert [key.name for key in chosen(set(), ["imu.accel_noise"])] == ["imu.accel_noise"]
     with pytest.raises(ConfigError, match=r"--vary imu.axes: cannot be tuned; there are imu.gyro_noise, "):
