@@ -1,4 +1,5 @@
-"""What the site has beyond docs/*.md: the README as its first page, the commands' own help, and the docstrings. A hook of mkdocs.
+"""What the site has beyond docs/*.md: the README as its first page, the commands' own help, the keys of
+the configuration, and the docstrings. A hook of mkdocs.
 
 Formulas become MathML, which browsers draw by themselves.
 """
@@ -26,6 +27,7 @@ def on_files(files: Files, config: Any) -> Files:
         "index.md": _of_root((ROOT / "README.md").read_text(encoding="utf-8")),
         "changelog.md": _of_root((ROOT / "CHANGELOG.md").read_text(encoding="utf-8")),
         "reference/commands.md": commands(),
+        "reference/configuration.md": configuration(),
         "reference/landfix.md": public(),
         **{f"reference/{package}.md": modules(package) for package in PACKAGES},
     }
@@ -71,6 +73,16 @@ def commands() -> str:
         return lines
 
     return "\n".join(pages_of([], typer.main.get_command(app), 1))
+
+
+def configuration() -> str:
+    """Every key with unit and default: what `landfix doctor --config` prints."""
+    from typer.testing import CliRunner  # noqa: PLC0415  (as in commands)
+
+    from estimator.cli import app  # noqa: PLC0415
+
+    keys = CliRunner().invoke(app, ["doctor", "--config"]).stdout
+    return f"# Configuration\n*For whoever writes a configuration file.*\n\n```toml\n{keys}```\n"
 
 
 def modules(package: str) -> str:
