@@ -29,8 +29,8 @@ from estimator.sources.aids import SourcesConfig
 from estimator.sources.imu.choice import ImusConfig
 from estimator.strict_toml import ConfigError
 from logs.wire.codec import Decoder, ImuMounting, Topics
-from models import toml_text
 from models.imu import Coast, ImuNoise
+from models.untrusted import toml_text
 
 __all__ = ["Config", "ConfigError", "load", "parse", "read", "with_origin"]
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, TypeVar
 import msgspec
 import msgspec.inspect as mi
 
-from models import toml_text
+from models.untrusted import toml_text
 
 T = TypeVar("T", bound=msgspec.Struct)
 

@@ -17,10 +17,11 @@ import numpy as np
 from models.camera import StereoRig
 from models.maps.landmarks import Landmark, LandmarkMap
 from models.messages import Array
+from models.prior import Prior
 from vision.describe.segment import Space
 from vision.identify.ambiguity import steps_off
 from vision.identify.constellation import MemoryConfig
-from vision.identify.identify import IdentifyConfig, Prior
+from vision.identify.identify import IdentifyConfig
 from vision.image.rectify import Image, rectification
 from vision.pose.map_error import on_map, with_map_error
 from vision.pose.pose import PoseConfig

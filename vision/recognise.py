@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from models.camera import StereoRig
 from models.maps.landmarks import Landmark
+from models.prior import Prior
 from vision.describe import epipolar
 from vision.describe.correspond import Match, Unmatched, correspond
 from vision.describe.measure import Measured, measure
@@ -23,7 +24,7 @@ from vision.describe.survey import Settings, grey, segment_regions
 from vision.identify import sightings
 from vision.identify.catalogue import Catalogue, Sighting, catalogue
 from vision.identify.constellation import Constellation, MemoryConfig
-from vision.identify.identify import NONE, Identification, IdentifyConfig, Prior, identify
+from vision.identify.identify import NONE, Identification, IdentifyConfig, identify
 from vision.identify.partial import seen_corners
 from vision.image.rectify import Image, Mask, Rectification, rectify
 from vision.records.images import Images

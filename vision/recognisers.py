@@ -22,12 +22,12 @@ from msgspec import Meta
 from models.camera import StereoRig
 from models.maps.landmarks import LandmarkMap
 from models.messages import Array, VisionReport
+from models.prior import Prior
 from vision.ground.features import FeatureConfig, FeatureMap, NotRecognised, Recognised, recognise
 from vision.ground.image import GroundImage
 from vision.ground.learned import Learned, recognise_learned
 from vision.ground.peak import PeakConfig, fit_peak, stands_alone
 from vision.ground.registration import NotRegistered, Peak, Registered, RegistrationConfig, register
-from vision.identify.identify import Prior
 from vision.identify.sightings import one_eyed
 from vision.image.check import image_flaw
 from vision.image.rectify import Image

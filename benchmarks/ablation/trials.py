@@ -20,8 +20,8 @@ from estimator.bench import views
 from estimator.bench.recognisers import Verdict, judged
 from models.camera import StereoRig
 from models.maps.landmarks import LandmarkMap
+from models.prior import Prior
 from models.radius import reach
-from vision.identify.identify import Prior
 from vision.image.rectify import Image
 from vision.pipeline import PipelineConfig, Result
 

@@ -21,8 +21,8 @@ from estimator.map_files.image_file import ImageFile
 from models import so3
 from models.camera import CameraModel, StereoRig
 from models.messages import Array
+from models.prior import Prior
 from vision.ground.image import GroundImage, Heights
-from vision.identify.identify import Prior
 from vision.image.rectify import Image
 from vision.recognisers import MapImage
 from vision.synthetic import Conditions, Sun, World, WorldSpec, draw_rig, make_rig, make_world, render

@@ -18,7 +18,7 @@ from benchmarks.aerial.trials import WRONG_M, Case, generator, turned
 from benchmarks.flights.tasks import data_folder
 from benchmarks.tables import Table
 from models.maps.landmarks import Landmark
-from vision.identify.identify import Prior
+from models.prior import Prior
 from vision.pose.sensitivity import eyes
 from vision.predict import pattern
 from vision.predict.coarse_search import CoarseConfig

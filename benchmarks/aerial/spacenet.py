@@ -17,8 +17,8 @@ from benchmarks.aerial.trials import Case, Spread, Trial, generator, nadir_rig, 
 from models.camera import CameraModel
 from models.maps.landmarks import Landmark, LandmarkMap
 from models.messages import Array
+from models.prior import Prior
 from vision.describe.survey import to_8_bit
-from vision.identify.identify import Prior
 from vision.image.rectify import Image
 
 FOLDER = "images/spacenet_atlanta_footprints"

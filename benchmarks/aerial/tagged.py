@@ -29,8 +29,8 @@ from estimator.commands.photo.shots import Given, take
 from estimator.map_files import image as image_store
 from models.maps.landmarks import LandmarkMap
 from models.messages import Array
+from models.prior import Prior
 from models.radius import reach
-from vision.identify.identify import Prior
 from vision.pipeline import Result
 from vision.recognisers import MapImage, Recognisers
 

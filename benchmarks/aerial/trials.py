@@ -15,8 +15,8 @@ from models import so3
 from models.camera import CameraModel, StereoRig
 from models.maps.landmarks import Landmark, LandmarkMap
 from models.messages import Array
+from models.prior import Prior
 from models.radius import reach
-from vision.identify.identify import Prior
 from vision.image.rectify import Image
 from vision.pipeline import LandmarkPipeline, PipelineConfig, Result
 

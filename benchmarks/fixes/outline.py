@@ -28,7 +28,7 @@ from benchmarks.fixes.sift import sift_and_flann
 from benchmarks.fixes.single_fix_bound import bound
 from benchmarks.fixes.single_fix_views import View
 from models.maps.landmarks import LandmarkMap
-from vision.identify.identify import Prior
+from models.prior import Prior
 from vision.image.rectify import Image
 from vision.pipeline import LandmarkPipeline, PipelineConfig
 from vision.pose.observation import ObservationConfig

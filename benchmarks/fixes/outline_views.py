@@ -10,7 +10,7 @@ from models import so3
 from models.camera import CameraModel, StereoRig
 from models.maps.landmarks import Landmark
 from models.messages import Array
-from vision.identify.identify import Prior
+from models.prior import Prior
 from vision.image.rectify import Image
 from vision.pose.sensitivity import eyes
 from vision.predict.motion import motion

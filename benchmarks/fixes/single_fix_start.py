@@ -15,7 +15,7 @@ from models.camera import CameraModel
 from models.maps import outline as polygon
 from models.maps.landmarks import Landmark
 from models.messages import Array
-from vision.identify.identify import Prior
+from models.prior import Prior
 from vision.outline.visibility import MapError
 from vision.pose.sensitivity import Eye
 

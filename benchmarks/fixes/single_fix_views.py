@@ -13,7 +13,7 @@ from models import so3
 from models.camera import CameraModel, StereoRig
 from models.maps.landmarks import Landmark
 from models.messages import Array
-from vision.identify.identify import Prior
+from models.prior import Prior
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
 from vision.synthetic.world import Appearance, Sun, World

@@ -21,11 +21,11 @@ from estimator.bench.views import Sample, draw
 from models.maps.colours import Colour
 from models.maps.landmarks import Landmark
 from models.messages import Array
+from models.prior import Prior
 from vision.describe.regions import Limits, Region, find_regions
 from vision.describe.segment import Labels, Space, Tolerance, classes, colour_table, segment_colours
 from vision.identify import sightings
 from vision.identify.catalogue import catalogue
-from vision.identify.identify import Prior
 from vision.identify.likelihood import similarities
 from vision.image import enhance
 from vision.image.rectify import Image, rectification, rectify

@@ -33,10 +33,10 @@ from estimator.fusion import Fusion
 from estimator.replay import flight_images
 from logs.wire.images import decode_image
 from models.messages import AidStatus, Array, Estimate, LandmarkFix, Reason
+from models.prior import Prior
 from models.sim.scenario import EPOCH_NS, Simulation, Truth, simulate
 from models.sim.scenario_file import loads
 from models.state import NavState, local
-from vision.identify.identify import Prior
 from vision.image.rectify import Image
 from vision.pipeline import LandmarkPipeline, PipelineConfig
 from vision.pose import information

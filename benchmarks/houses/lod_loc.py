@@ -31,8 +31,8 @@ from models.camera import CameraModel
 from models.maps import outline as polygon
 from models.maps.landmarks import Landmark, LandmarkMap
 from models.messages import Array
+from models.prior import Prior
 from models.radius import horizontal_radius
-from vision.identify.identify import Prior
 from vision.show.overlay import draw_overlay
 
 FOLDER: Final = "images/lod_loc"

@@ -16,8 +16,8 @@ from benchmarks.houses.tiles import FOCAL_PX, Tile, elsewhere, shifted, tiles
 from models.camera import StereoRig
 from models.maps.landmarks import Landmark
 from models.messages import Array
+from models.prior import Prior
 from models.radius import horizontal_radius
-from vision.identify.identify import Prior
 from vision.image.rectify import Image
 from vision.pose.pose import combine
 from vision.show.overlay import draw_overlay

@@ -26,7 +26,7 @@ from benchmarks.jobs import run_jobs
 from benchmarks.tables import Table, number
 from models import so3
 from models.messages import Array
-from vision.identify.identify import Prior
+from models.prior import Prior
 from vision.image.rectify import rectification
 from vision.pipeline import LandmarkPipeline, Result
 from vision.records.reports import RegionReport

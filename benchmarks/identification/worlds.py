@@ -12,8 +12,8 @@ from models import so3
 from models.camera import CameraModel, StereoRig
 from models.maps.landmarks import Landmark, LandmarkMap
 from models.messages import Array
+from models.prior import Prior
 from vision.identify.catalogue import Sighting
-from vision.identify.identify import Prior
 
 SIDE_M, SPACING_M = 400.0, 25.0
 WIDTH_M, LENGTH_M, HEIGHT_M = 8.0, 11.0, 3.0

@@ -28,8 +28,8 @@ from estimator.tools.maps import route
 from estimator.version import version
 from logs.importers import convert
 from logs.store.reader import LogError, LogReader
-from models import toml_text
 from models.maps.table import MapError
+from models.untrusted import toml_text
 
 CPU_S: Final = 10
 MEMORY_BYTES: Final = 2**30

@@ -25,8 +25,8 @@ import numpy as np
 from benchmarks.fixes.sift import sift_and_flann
 from models import so3
 from models.messages import Array
+from models.prior import Prior
 from vision import pipeline, recognise
-from vision.identify.identify import Prior
 from vision.image.rectify import Image
 from vision.pipeline import LandmarkPipeline
 from vision.predict import coarse_search, fit, predict

@@ -19,12 +19,12 @@ from estimator.bench.views import Reference, Sample
 from models import so3
 from models.maps.landmarks import Landmark
 from models.messages import Array, LandmarkFix
+from models.prior import Prior
 from vision.describe.correspond import Match, correspond
 from vision.describe.measure import Measured, measure
 from vision.describe.survey import Settings, grey, segment_regions
 from vision.identify import sightings
 from vision.identify.catalogue import Sighting, catalogue
-from vision.identify.identify import Prior
 from vision.identify.likelihood import similarities
 from vision.image.rectify import Image, rectification, rectify
 from vision.pipeline import LandmarkPipeline, PipelineConfig, Result

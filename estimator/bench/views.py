@@ -21,7 +21,7 @@ from models.camera import CameraModel
 from models.maps import colours
 from models.maps.landmarks import Landmark, LandmarkMap
 from models.messages import Array
-from vision.identify.identify import Prior
+from models.prior import Prior
 from vision.image.rectify import Image
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.render import render, render_pair

@@ -17,8 +17,8 @@ from models import so3
 from models.camera import CameraModel, StereoRig
 from models.maps.landmarks import LandmarkMap
 from models.messages import VisionReport, VisionRequest
+from models.prior import Prior
 from models.radius import horizontal_radius
-from vision.identify.identify import Prior
 from vision.image.scaled import scaled
 from vision.recognisers import MapImage, RecogniserConfig, Recognisers
 

@@ -25,7 +25,7 @@ from logs.wire.codec import INTEGRITY_TOPIC, Odometry, decode_aid_status, decode
 from logs.wire.schemas import STORE
 from models import so3
 from models.messages import Alert, Integrity
-from models.toml_text import one_line
+from models.untrusted.toml_text import one_line
 
 _STALE_S: Final = 2.0
 _RECENT: Final = 200  # measurements of a source whose fate is shown, and estimates whose rate is

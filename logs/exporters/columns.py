@@ -18,10 +18,10 @@ from logs.evaluation.metrics import Times, rotation
 from logs.evaluation.trajectory import Trajectory
 from logs.store.reader import Attachment, LogError
 from logs.store.recorder import CONFIG_ATTACHMENT
-from models import toml_text
 from models.frames import ENU_FROM_NED, FLU_FROM_FRD, Origin
 from models.messages import Array
 from models.radius import horizontal_radius
+from models.untrusted import toml_text
 
 Columns: TypeAlias = Mapping[str, NDArray[Any]]  # name -> (n,), all of one length; t_ns is integer, mode is text
 

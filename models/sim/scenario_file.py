@@ -9,8 +9,8 @@ from typing import Any
 import msgspec
 import msgspec.inspect as mi
 
-from models import toml_text
 from models.sim.scenario import Scenario
+from models.untrusted import toml_text
 
 _KIND = "kind"  # says which vehicle, which fault: the tag field of those structs
 

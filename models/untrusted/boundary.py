@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from models.toml_text import one_line
+from models.untrusted.toml_text import one_line
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from benchmarks.houses.lod_loc import roofs
 from benchmarks.houses.tiles import Tile, elsewhere, footprints, shifted
 from benchmarks.houses.trials import naive
 from models.messages import Array
-from vision.identify.identify import Prior
+from models.prior import Prior
 from vision.image.rectify import Image
 
 SIZE, STEP_M = 200, 0.5

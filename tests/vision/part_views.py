@@ -7,9 +7,9 @@ import numpy as np
 from models import so3
 from models.maps.landmarks import Landmark
 from models.messages import Array
+from models.prior import Prior
 from tests.vision.pose.test_pose import COLOURS, Flight
 from tests.vision.roofs import nadir_rig
-from vision.identify.identify import Prior
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
 from vision.synthetic.render import render_pair

@@ -12,7 +12,7 @@ from models import so3
 from models.camera import StereoRig
 from models.maps.landmarks import Landmark, LandmarkMap
 from models.messages import Array
-from vision.identify.identify import Prior
+from models.prior import Prior
 from vision.image.rectify import Image
 from vision.pipeline import LandmarkPipeline, PipelineConfig, Result
 from vision.recognise import Identified, SegmentPath

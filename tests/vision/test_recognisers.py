@@ -7,12 +7,12 @@ import pytest
 from models import so3
 from models.maps.landmarks import LandmarkMap
 from models.messages import Array
+from models.prior import Prior
 from tests.vision.ground import scene
 from vision import recognisers
 from vision.ground.features import FeatureConfig, FeatureMap
 from vision.ground.peak import PeakConfig
 from vision.ground.registration import RegistrationConfig
-from vision.identify.identify import Prior
 from vision.image.rectify import Image
 from vision.recognisers import MapImage, RecogniserConfig, Recognisers
 

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from models.camera import StereoRig
 from models.messages import Array
+from models.prior import Prior
 from vision.ground.image import GroundImage, pyramid
 from vision.ground.view import make_grid
-from vision.identify.identify import Prior
 from vision.image.rectify import Image
 from vision.pose.point_pose import PointConfig, PointPose, Points, fit_points
 from vision.pose.pose import PoseEstimate

@@ -16,11 +16,11 @@ import numpy as np
 
 from models.camera import StereoRig
 from models.messages import Array
+from models.prior import Prior
 from vision.ground.features import FeatureConfig, Matches, NotRecognised, Recognised, pose_of_matches
 from vision.ground.image import Float, GroundImage, pyramid, sample
 from vision.ground.registration import shift_of_ground
 from vision.ground.view import Mask, make_grid
-from vision.identify.identify import Prior
 from vision.image.rectify import Image
 
 _ROWS, _COLUMNS = 640, 360  # of the extractor's input

@@ -24,9 +24,9 @@ import numpy as np
 from msgspec import Meta
 
 from models.camera import StereoRig
+from models.prior import Prior
 from vision.ground.image import GroundImage
 from vision.ground.registration import Peak
-from vision.identify.identify import Prior
 from vision.pose.point_pose import PointConfig, Points, fit_points
 from vision.pose.pose import PoseEstimate
 

@@ -28,10 +28,10 @@ from scipy.special import betainc
 
 from models.camera import StereoRig
 from models.messages import Array
+from models.prior import Prior
 from vision.describe.correspond import sobel
 from vision.ground.image import Float, GroundImage, pyramid
 from vision.ground.view import Camera, Grid, Mask, camera_view, make_grid, map_view
-from vision.identify.identify import Prior
 from vision.image.rectify import Image
 from vision.pose.point_pose import PointConfig, Points, fit_points
 from vision.pose.pose import PoseEstimate

@@ -14,8 +14,8 @@ import msgspec
 import numpy as np
 
 from models.messages import Array
+from models.prior import Prior
 from vision.identify.catalogue import Sighting
-from vision.identify.identify import Prior
 
 _SURER = 0.8  # the prior's variance fell below this part: something was fused in between, its error is another one
 

@@ -12,37 +12,15 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from models import cholesky, so3
+from models import so3
 from models.camera import StereoRig
 from models.messages import Array
+from models.prior import Prior
 from vision.identify.assignment import SCALE, STATES, Expected, Hypotheses, search
 from vision.identify.catalogue import Assumptions, Catalogue, Sighting
 from vision.identify.likelihood import options, similarities
 
 NONE = -1  # not a landmark of the map
-
-
-@dataclass(frozen=True, slots=True)
-class Prior:
-    """Pose estimate before the images: p_n [m], q_nb_wxyz, covariance (6, 6) order x y z rx ry rz about the axes of n (NED)."""
-
-    p_n: Array
-    q_nb_wxyz: Array
-    covariance: Array
-
-    @property
-    def R_nb(self) -> Array:
-        """Rotation matrix body -> n, (3, 3)."""
-        return so3.matrix(self.q_nb_wxyz)
-
-    @property
-    def information(self) -> Array:
-        """P^-1 (6, 6), worked out at each call."""
-        return cholesky.inverse(np.ascontiguousarray(self.covariance, dtype=np.float64))
-
-    def moved(self, x: Array) -> tuple[Array, Array]:
-        """(p_n, q_nb_wxyz) after the error x = (dp, dtheta, ...): p + dp, exp(dtheta) q."""
-        return self.p_n + x[:3], so3.normalise(so3.multiply(so3.quat_exp(np.ascontiguousarray(x[3:6])), self.q_nb_wxyz))
 
 
 class IdentifyConfig(msgspec.Struct, frozen=True):

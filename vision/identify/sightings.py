@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from models.camera import StereoRig
 from models.maps import outline as polygon
 from models.messages import Array
+from models.prior import Prior
 from vision.describe.measure import Level, Measured
 from vision.describe.regions import Region
 from vision.identify.catalogue import Catalogue, Sighting
-from vision.identify.identify import Prior, view_of
+from vision.identify.identify import view_of
 from vision.identify.partial import chain, partial_of
 
 ROOF_SLOPE_RAD = math.radians(1.0)  # of a roof that the map calls flat

@@ -24,9 +24,9 @@ from models import so3
 from models.camera import StereoRig
 from models.maps import outline as polygon
 from models.messages import Array
+from models.prior import Prior
 from vision.describe.measure import Measured
 from vision.describe.regions import Region
-from vision.identify.identify import Prior
 
 _BLIND_M = 1e3  # along a ray whose length is not measured
 _SHALLOW = 0.25  # sine of a ray against the ground, below which a region is seen too flat

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from models.messages import Array, LandmarkFix
-from vision.identify.identify import Prior
+from models.prior import Prior
 
 WHOLE_MAP = "(the map)"  # among the landmarks of a fix: the error that they share
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from models import so3
 from models.camera import StereoRig
 from models.messages import Array
-from vision.identify.identify import Prior
+from models.prior import Prior
 from vision.pose.information import Measured
 from vision.pose.least_squares import POSE, Solution, System, distances, solve, solve_robustly
 from vision.pose.pose import Pose, PoseEstimate, combine, difference, retract

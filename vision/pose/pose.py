@@ -27,8 +27,8 @@ from models import so3
 from models.camera import StereoRig
 from models.maps.landmarks import Landmark
 from models.messages import Array
+from models.prior import Prior
 from vision.identify.ambiguity import ANY_TURN_RAD, alternatives, round_landmarks
-from vision.identify.identify import Prior
 from vision.outline.edge_noise import NoiseConfig, line_covariance
 from vision.pose.corner_errors import by_corners, repeating
 from vision.pose.information import Measured

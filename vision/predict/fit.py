@@ -20,7 +20,7 @@ from models import so3
 from models.camera import StereoRig
 from models.maps.landmarks import Landmark
 from models.messages import Array
-from vision.identify.identify import Prior
+from models.prior import Prior
 from vision.image.rectify import Image
 from vision.pose.pose import NoPose, Pose, PoseConfig, PoseEstimate, difference, estimate_pose
 from vision.pose.sensitivity import Eye, eyes

@@ -19,7 +19,7 @@ from models import so3
 from models.camera import CameraModel
 from models.maps.landmarks import Landmark
 from models.messages import Array
-from vision.identify.identify import Prior
+from models.prior import Prior
 from vision.outline.visibility import Prisms
 from vision.pose.pose import Pose
 from vision.pose.sensitivity import Eye, part_in_view

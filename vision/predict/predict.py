@@ -20,7 +20,7 @@ from models import so3
 from models.camera import StereoRig
 from models.maps.landmarks import Landmark
 from models.messages import Array
-from vision.identify.identify import Prior
+from models.prior import Prior
 from vision.outline.detail import as_seen
 from vision.outline.visibility import Prisms
 from vision.pose import small_landmarks

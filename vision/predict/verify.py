@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from models import so3
 from models.messages import Array
-from vision.identify.identify import Prior
+from models.prior import Prior
 from vision.pose.pose import PoseEstimate, difference
 from vision.predict.coarse_search import Candidate
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from models import so3
 from models.messages import Array, LandmarkFix, Quat, VisionReport, vec3
-from vision.identify.identify import Prior
+from models.prior import Prior
 from vision.pose.pose import PoseEstimate, difference
 
 INSIDE_9999: Final = (15.137, 18.421, 21.108, 23.513, 25.745, 27.856)  # chi-square of 1 to 6, 99.99 %

@@ -22,7 +22,7 @@ from estimator.commands.photo.tags import Tags
 from estimator.map_files import geoid
 from models import so3
 from models.frames import Origin
-from vision.identify.identify import Prior
+from models.prior import Prior
 
 _ACROSS_M, _HEIGHT_M, _HEIGHT_SHARE, _SEA_M = 3.0, 2.0, 0.05, 10.0
 _TILT_DEG, _HEADING_DEG = 1.5, 3.5

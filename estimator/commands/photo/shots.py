@@ -24,7 +24,7 @@ from models import so3
 from models.camera import StereoRig
 from models.frames import Origin
 from models.messages import Array
-from vision.identify.identify import Prior
+from models.prior import Prior
 from vision.image.rectify import Image
 
 _WIDTH: Final = 800  # px of a photo whose camera is known by its tags: from 100 m a pixel is 0.1 to 0.2 m, as good as maps are

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from models.camera import StereoRig
     from models.maps.landmarks import LandmarkMap
     from models.messages import Array, LandmarkFix
-    from vision.identify.identify import Prior
+    from models.prior import Prior
     from vision.image.rectify import Image
     from vision.pipeline import Result
     from vision.recognisers import MapImage
@@ -198,7 +198,7 @@ def _following(shot: "Shot", before: "list[tuple[Shot, Result]]") -> "Shot":
     import numpy as np
 
     from models import so3
-    from vision.identify.identify import Prior
+    from models.prior import Prior
 
     pose = next((result.pose for _, result in reversed(before) if result.pose is not None), None)
     if not shot.follows or pose is None:

@@ -16,7 +16,7 @@ from estimator.map_files.extract.crs import box_of, to_lonlat
 from estimator.map_files.extract.footprint import Footprint, Place
 from estimator.map_files.extract.wkb import outer_rings
 from models.maps.table import MapError
-from models.toml_text import one_line
+from models.untrusted.toml_text import one_line
 
 _TAG = re.compile(r'"((?:[^"\\]|\\.)*)"=>"((?:[^"\\]|\\.)*)"')  # of the tags that GDAL keeps in one text
 

@@ -21,10 +21,10 @@ from models.camera import StereoRig
 from models.frames import Origin
 from models.maps.landmarks import LandmarkMap
 from models.messages import Estimate, GnssFix, Input, LandmarkFix, Mode, vec3
+from models.prior import Prior
 from vision.describe.measure import Measured
 from vision.describe.regions import Limits, Region
 from vision.describe.survey import Settings, Survey, survey
-from vision.identify.identify import Prior
 from vision.image.rectify import Rectification, rectification
 from vision.learn.mapping import Mapper, MappingConfig, Observation, observe
 from vision.learn.tracks import KeepConfig, learned

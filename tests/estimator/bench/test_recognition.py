@@ -20,7 +20,7 @@ from estimator.cli import app
 from models import so3
 from models.maps import colours
 from models.messages import LandmarkFix
-from vision.identify.identify import Prior
+from models.prior import Prior
 from vision.pipeline import PipelineConfig
 from vision.predict import fit, verify
 from vision.predict.coarse_search import CoarseConfig

@@ -10,9 +10,9 @@ from estimator.replay import flight_images
 from logs.wire.images import decode_image
 from logs.wire.schemas import COMPRESSED_IMAGE, IMAGE
 from models import so3
+from models.prior import Prior
 from models.sim.scenario import simulate
 from models.sim.scenario_file import loads
-from vision.identify.identify import Prior
 from vision.pipeline import LandmarkPipeline
 from vision.synthetic.faces import View, visible_faces
 from vision.synthetic.texture import SURFACES

@@ -8,8 +8,8 @@ import numpy as np
 from models import so3
 from models.camera import CameraModel, StereoRig
 from models.messages import Array
+from models.prior import Prior
 from vision.ground.image import GroundImage, Heights
-from vision.identify.identify import Prior
 from vision.image.rectify import Image
 from vision.pose.pose import PoseEstimate, difference
 

@@ -8,10 +8,10 @@ import pytest
 
 from models import so3
 from models.messages import Array
+from models.prior import Prior
 from tests.vision.ground import scene
 from vision.ground.features import FeatureConfig, FeatureMap, NotRecognised, Recognised, _distances, recognise
 from vision.ground.image import Heights
-from vision.identify.identify import Prior
 from vision.image.rectify import Image
 
 _WIDE = np.array([60.0, 60.0, 15.0, 0.03, 0.03, 0.2])

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from models.camera import StereoRig
+from models.prior import Prior
 from tests.vision.ground import scene
 from vision.ground.features import NotRecognised, Recognised
 from vision.ground.image import GroundImage
 from vision.ground.learned import Learned, Model, ModelError, recognise_learned
-from vision.identify.identify import Prior
 from vision.records.reports import pose_flaw
 
 SIGMA = np.array([8.0, 8.0, 3.0, 0.01, 0.01, 0.03])

@@ -8,11 +8,11 @@ from scipy.stats import chi2
 
 from models import so3
 from models.messages import Array
+from models.prior import Prior
 from tests.vision.ground import scene
 from vision.ground.image import GroundImage, Heights
 from vision.ground.peak import PeakConfig, fit_peak, peak_flaw
 from vision.ground.registration import NotRegistered, Peak, RegistrationConfig, register
-from vision.identify.identify import Prior
 from vision.pose.pose import difference
 
 _SIGMA = np.array([8.0, 8.0, 3.0, 0.01, 0.01, 0.03])

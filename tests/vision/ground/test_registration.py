@@ -9,10 +9,10 @@ from scipy.stats import chi2
 
 from models import so3
 from models.messages import Array
+from models.prior import Prior
 from tests.vision.ground import scene
 from vision.ground.image import GroundImage, Heights, pyramid
 from vision.ground.registration import NotRegistered, Registered, RegistrationConfig, _search, register, shift_of_ground
-from vision.identify.identify import Prior
 from vision.pose.pose import difference
 
 _SIGMA = np.array([8.0, 8.0, 3.0, 0.01, 0.01, 0.03])

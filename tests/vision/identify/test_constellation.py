@@ -5,9 +5,10 @@ import pytest
 
 from benchmarks.identification.numbers import CONFIG
 from benchmarks.identification.worlds import RIG, SCALE_SIGMA, Conditions, draw_error, draw_pose, draw_world, observe
+from models.prior import Prior
 from vision.identify.catalogue import Sighting, catalogue
 from vision.identify.constellation import Constellation, MemoryConfig
-from vision.identify.identify import Prior, identify
+from vision.identify.identify import identify
 from vision.identify.partial import Partial
 
 SECOND = 1_000_000_000

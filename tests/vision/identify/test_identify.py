@@ -10,8 +10,9 @@ import pytest
 from benchmarks.identification.numbers import judge, run
 from benchmarks.identification.worlds import RIG, SCALE_SIGMA, Conditions, Frame, draw_error, draw_pose, draw_world, observe
 from models import so3
+from models.prior import Prior
 from vision.identify.catalogue import Assumptions, Catalogue, Sighting, catalogue
-from vision.identify.identify import NONE, Identification, Prior, identify
+from vision.identify.identify import NONE, Identification, identify
 
 CALM = Conditions(unmapped=0.0, gone=0.0, found=1.0, bad=0.0, height_m=(70.0, 90.0))
 

@@ -9,10 +9,11 @@ import pytest
 from models import so3
 from models.maps.landmarks import Landmark
 from models.messages import Array
+from models.prior import Prior
 from vision.describe.regions import Region
 from vision.identify import sightings
 from vision.identify.catalogue import Catalogue, Sighting, catalogue
-from vision.identify.identify import NONE, Prior, identify
+from vision.identify.identify import NONE, identify
 from vision.identify.likelihood import _say_nothing, _whiten
 from vision.identify.partial import Partial, chain, seen_corners
 from vision.synthetic.rigs import make_rig

@@ -9,11 +9,11 @@ from models import so3
 from models.camera import StereoRig
 from models.maps import outline as polygon
 from models.messages import Array
+from models.prior import Prior
 from vision.describe.measure import Measured
 from vision.describe.regions import Region
 from vision.identify import sightings
 from vision.identify.catalogue import Sighting
-from vision.identify.identify import Prior
 from vision.synthetic.rigs import make_rig
 
 ROOF_D, WIDTH, LENGTH, TURN = -4.0, 8.0, 14.0, 0.6

@@ -8,9 +8,9 @@ from models import so3
 from models.camera import StereoRig
 from models.maps import outline as polygon
 from models.messages import Array
+from models.prior import Prior
 from vision.describe.measure import Measured
 from vision.describe.regions import Region
-from vision.identify.identify import Prior
 from vision.learn.mapping import Mapper, MappingConfig, Observation, observe
 from vision.learn.median_outline import merged_outline
 from vision.learn.tracks import KeepConfig, learned

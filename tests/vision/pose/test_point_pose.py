@@ -7,8 +7,8 @@ import pytest
 from models import so3
 from models.camera import CameraModel, StereoRig
 from models.messages import Array
+from models.prior import Prior
 from tests.vision.ground import scene
-from vision.identify.identify import Prior
 from vision.pose.point_pose import PointPose, Points, _system, fit_points
 from vision.pose.pose import retract
 from vision.synthetic.rigs import make_rig

@@ -13,8 +13,8 @@ from models import so3
 from models.camera import StereoRig
 from models.maps.landmarks import Landmark
 from models.messages import Array
+from models.prior import Prior
 from tests.vision.roofs import nadir_rig
-from vision.identify.identify import Prior
 from vision.outline.visibility import MapError
 from vision.pose import observation
 from vision.pose.observation import Image, ObservationConfig, Scene

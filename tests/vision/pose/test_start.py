@@ -7,8 +7,8 @@ from benchmarks.fixes.single_fix_start import centroid_and_size, start_from_regi
 from models import so3
 from models.maps.landmarks import Landmark
 from models.messages import Array
+from models.prior import Prior
 from tests.vision.roofs import nadir_rig
-from vision.identify.identify import Prior
 from vision.pose.sensitivity import eyes
 
 RIG = nadir_rig(lens=(-0.1, 0.02, 0.0, 0.0))

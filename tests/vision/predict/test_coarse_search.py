@@ -13,8 +13,8 @@ from models import so3
 from models.camera import CameraModel
 from models.maps.landmarks import Landmark
 from models.messages import Array
+from models.prior import Prior
 from tests.vision.roofs import nadir_rig
-from vision.identify.identify import Prior
 from vision.image.rectify import Image
 from vision.image.reduced import Field, Level, levels
 from vision.outline.visibility import MapError, Prisms

@@ -10,9 +10,9 @@ import pytest
 
 from models.maps.landmarks import Landmark
 from models.messages import Array
+from models.prior import Prior
 from models.so3 import from_matrix, matrix, multiply, quat_exp
 from tests.vision.predict.test_predict import MARKS, RIG, View, drawn, look_at, whole
-from vision.identify.identify import Prior
 from vision.outline.visibility import MapError
 from vision.pose.observation import ObservationConfig
 from vision.pose.pose import NoPose, PoseConfig, PoseEstimate, estimate_pose, retract

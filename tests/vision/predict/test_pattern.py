@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from models import so3
 from models.camera import CameraModel, StereoRig
 from models.maps.landmarks import Landmark, LandmarkMap
-from vision.identify.identify import Prior
+from models.prior import Prior
 from vision.pipeline import LandmarkPipeline, PipelineConfig
 from vision.pose.sensitivity import eyes
 from vision.predict import pattern

@@ -17,10 +17,10 @@ from models import so3
 from models.camera import StereoRig
 from models.maps.landmarks import Landmark, LandmarkMap
 from models.messages import Array
+from models.prior import Prior
 from tests.vision.part_views import part_view
 from tests.vision.roofs import nadir_rig
 from vision.identify.ambiguity import steps_off
-from vision.identify.identify import Prior
 from vision.image.rectify import Image
 from vision.pipeline import LandmarkPipeline, PipelineConfig, Result
 from vision.pose.pose import PoseConfig
