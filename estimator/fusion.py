@@ -310,7 +310,7 @@ class Fusion:
         out: list[Output] = []
         changed = self._history.changed()
         last = self._published
-        shown = tracker.shown
+        shown = tracker.alignment.shown
         if shown is not None and (last is None or t_ns > last.t_ns):
             lead = shown.lead
             if not lead.sound:
@@ -322,7 +322,7 @@ class Fusion:
             covariance = tracker.shown_covariance()
             jump = None
             if last is not None and (changed or redone):
-                jump = self._jump(last, lead, covariance, t_ns, is_aligned=tracker.is_aligned)
+                jump = self._jump(last, lead, covariance, t_ns, is_aligned=tracker.core.is_aligned)
             if jump is not None:
                 self._reset_counter += 1
                 p, v, theta = vec3(jump[E.P]), vec3(jump[E.V]), vec3(so3.matrix(lead.x[X.Q]) @ jump[E.THETA])
@@ -337,7 +337,7 @@ class Fusion:
                 (gyro[0] - bias[0], gyro[1] - bias[1], gyro[2] - bias[2]),
                 tracker.mode(self._history.samples.newest_ns, t_ns),
                 self._reset_counter,
-                tracker.last_absolute_ns,
+                tracker.core.last_absolute_ns,
                 tracker.place,
             )
             out.append(self._published)
@@ -432,28 +432,28 @@ class Fusion:
 
     def _say(self, tracker: Tracker) -> str:
         """What went wrong, else what keeps it from an estimate; what makes that less certain, and what had to be assumed."""
-        said = self._detail or (tracker.detail if not tracker.is_aligned else "")
+        said = self._detail or (tracker.detail if not tracker.core.is_aligned else "")
         said = "; ".join(filter(None, (said, self._imus.remark(self._history.samples.newest_ns), self._held.says)))
         return "; ".join(
             filter(None, (said, *tracker.remarks, *(f"{topic}: {text}" for topic, text in sorted(self._assumed.items()))))
         )
 
     def _health(self, tracker: Tracker, t_ns: int, arrived_ns: int) -> Health:
-        hypotheses = tracker.bank
+        hypotheses = tracker.alignment.bank
         radius = attitude = math.inf
         biases: dict[str, float] = {}
-        if hypotheses is not None and tracker.shown is not None:
+        if hypotheses is not None and tracker.alignment.shown is not None:
             cov = tracker.shown_covariance()  # as it is published
             horizontal = np.linalg.eigvalsh(cov[E.P, E.P][:2, :2])[-1]
             radius = _RADIUS95 * math.sqrt(max(0.0, float(horizontal)))
             attitude = math.degrees(math.sqrt(float(np.diag(cov)[E.THETA].max())))
             biases = _biases(hypotheses.lead.x, cov) | _wind(hypotheses.lead)
-        never = tracker.last_absolute_ns < 0
+        never = tracker.core.last_absolute_ns < 0
         return Health(
             t_ns,
             arrived_ns,
             tracker.mode(self._history.samples.newest_ns, t_ns),
-            math.inf if never else (t_ns - tracker.last_absolute_ns) * 1e-9,
+            math.inf if never else (t_ns - tracker.core.last_absolute_ns) * 1e-9,
             radius,
             attitude,
             self._reset_counter,
@@ -464,7 +464,7 @@ class Fusion:
             self._say(tracker),
             biases,
             self._integrity.summary,
-            hypotheses.weights if hypotheses is not None and tracker.is_aligned else {},
+            hypotheses.weights if hypotheses is not None and tracker.core.is_aligned else {},
         )
 
 

@@ -52,12 +52,12 @@ class History:
     def __init__(self, tracker: Tracker, history_s: float, samples: ImuBuffer | None = None) -> None:
         self.samples = samples or ImuBuffer()
         self.tracker = tracker
-        self._span_ns, self._gap_ns = int(history_s * 1e9), round(tracker.config.coast.gap_s * 1e9)
+        self._span_ns, self._gap_ns = int(history_s * 1e9), round(tracker.core.config.coast.gap_s * 1e9)
         self._orders: list[tuple[int, str, str, bytes]] = []
         self._entries: list[Entry] = []
         self._next = 0  # first entry that the tracker has not seen
         self._checkpoints = [tracker.copy()]
-        self._checkpoint_times = [tracker.t_ns]
+        self._checkpoint_times = [tracker.core.t_ns]
         self._since_checkpoint = 0  # IMU samples
         self._redo_from_ns: int | None = None
         self._ahead: Tracker | None = None  # publishes while `tracker` works in what came late
@@ -80,7 +80,7 @@ class History:
         if sample.t_ns > self.samples.newest_ns:
             before_ns = self.samples.newest_ns
             self.samples.insert(sample)
-            if self._checkpoint_times[0] <= before_ns < self.tracker.t_ns:  # the IMU was missing and the tracker has coasted
+            if self._checkpoint_times[0] <= before_ns < self.tracker.core.t_ns:  # the IMU was missing and the tracker has coasted
                 self._rewind_to(before_ns + 1)
             return None
         before = self.samples.first_after(sample.t_ns - 1) - 1  # the sample changes the whole interval that it splits
@@ -124,7 +124,7 @@ class History:
         self._orders.insert(k, aid.order)
         entry = Entry(aid)
         self._entries.insert(k, entry)
-        if aid.t_ns <= self.tracker.t_ns:
+        if aid.t_ns <= self.tracker.core.t_ns:
             self._next += k <= self._next  # the tracker is beyond it, and goes back for it
             entry.replayed = self.samples.count - self.samples.first_after(aid.t_ns)
             self._rewind_to(aid.t_ns)
@@ -141,10 +141,10 @@ class History:
             self.tracker.propagate(self.samples, to_ns)
             return self.tracker
         if self._redo_from_ns is not None and self._ahead is None:
-            self._ahead, self._ahead_since_ns = self.tracker, self.tracker.t_ns
+            self._ahead, self._ahead_since_ns = self.tracker, self.tracker.core.t_ns
             self._restore()
         if self._ahead is not None:
-            if not coast and self._ahead.t_ns <= to_ns:  # else it has coasted beyond
+            if not coast and self._ahead.core.t_ns <= to_ns:  # else it has coasted beyond
                 self._ahead.propagate(self.samples, to_ns)
                 self._due = True
                 return self._ahead
@@ -160,7 +160,7 @@ class History:
     def _is_one_sample_behind(self, to_ns: int) -> bool:
         """Whether all that is left to do is to go one IMU sample further."""
         return (
-            self.tracker.t_ns == self.samples.previous_ns
+            self.tracker.core.t_ns == self.samples.previous_ns
             and to_ns == self.samples.newest_ns
             and self._next == len(self._orders)
             and self._since_checkpoint < _CHECKPOINT_SAMPLES - 1
@@ -177,7 +177,7 @@ class History:
 
     def _slice(self, interval_ns: int, measurement_ns: int) -> int:
         """How many measurements may be worked in within an interval: as many as there is time for, and as keep pace."""
-        return max(1, interval_ns // measurement_ns, self._waiting(self.tracker.t_ns + _PACE * interval_ns))
+        return max(1, interval_ns // measurement_ns, self._waiting(self.tracker.core.t_ns + _PACE * interval_ns))
 
     def catch_up(self) -> None:
         """Work in a slice of what came late, once behind every output of `advance`."""
@@ -186,7 +186,7 @@ class History:
         self._due = False
         newest_ns = self.samples.newest_ns
         self._go_through(newest_ns, self._slice(newest_ns - self.samples.previous_ns, _MEASUREMENT_NS))
-        if self.tracker.t_ns >= newest_ns:
+        if self.tracker.core.t_ns >= newest_ns:
             self._hand_over()
 
     def _hand_over(self) -> None:
@@ -196,7 +196,7 @@ class History:
             return
         if self.tracker.standing >= ahead.standing:
             self._ahead = None
-        elif ahead.t_ns - self._ahead_since_ns > self._span_ns:
+        elif ahead.core.t_ns - self._ahead_since_ns > self._span_ns:
             self._ahead = None
             self._begin_at(ahead)
         elif self._redo_from_ns is not None:
@@ -205,8 +205,8 @@ class History:
     def _begin_at(self, tracker: Tracker) -> None:
         """The tracker becomes the one of record; nothing before it is redone any more."""
         self.tracker, self._redo_from_ns, self._since_checkpoint = tracker, None, 0
-        self._checkpoints, self._checkpoint_times = [tracker.copy()], [tracker.t_ns]
-        done = bisect_right(self._orders, tracker.t_ns, key=lambda order: order[0])
+        self._checkpoints, self._checkpoint_times = [tracker.copy()], [tracker.core.t_ns]
+        done = bisect_right(self._orders, tracker.core.t_ns, key=lambda order: order[0])
         del self._entries[:done], self._orders[:done]
         self._next = 0
 
@@ -230,7 +230,9 @@ class History:
         """Move the tracker through the measurements up to `to_ns`, as many as may be, and by the IMU as far as it is known."""
         if self._next == len(self._orders) or self._take(to_ns, most):  # nearly every call there is none
             self._propagate(min(to_ns, self.samples.newest_ns))
-        if self._since_checkpoint >= _CHECKPOINT_SAMPLES and not self._waiting(self.tracker.t_ns):  # all of one stamp, or none
+        if self._since_checkpoint >= _CHECKPOINT_SAMPLES and not self._waiting(
+            self.tracker.core.t_ns
+        ):  # all of one stamp, or none
             self._checkpoint()
 
     def _waiting(self, to_ns: int) -> int:
@@ -275,14 +277,14 @@ class History:
     def _propagate(self, to_ns: int) -> None:
         """Move the tracker to `to_ns`, leaving checkpoints; all aids of the time that it leaves are done."""
         samples, tracker = self.samples, self.tracker
-        if tracker.t_ns >= to_ns:
+        if tracker.core.t_ns >= to_ns:
             return
         if self._since_checkpoint >= _CHECKPOINT_SAMPLES:
             self._checkpoint()
-        if tracker.t_ns == samples.previous_ns and to_ns == samples.newest_ns:  # one sample further: nearly every call
+        if tracker.core.t_ns == samples.previous_ns and to_ns == samples.newest_ns:  # one sample further: nearly every call
             self._since_checkpoint += 1
         else:
-            begin, end = samples.first_after(tracker.t_ns), samples.first_after(to_ns)
+            begin, end = samples.first_after(tracker.core.t_ns), samples.first_after(to_ns)
             stops = samples.t_ns[begin + _CHECKPOINT_SAMPLES : max(end - 1, 0) : _CHECKPOINT_SAMPLES].tolist()
             for stop in stops:
                 tracker.propagate(samples, stop)
@@ -292,7 +294,7 @@ class History:
 
     def _checkpoint(self) -> None:
         self._checkpoints.append(self.tracker.copy())
-        self._checkpoint_times.append(self.tracker.t_ns)
+        self._checkpoint_times.append(self.tracker.core.t_ns)
         self._since_checkpoint = 0
         horizon = self.samples.newest_ns - self._span_ns
         if self._redo_from_ns is not None:  # what waits to be redone needs a checkpoint before it
@@ -320,7 +322,7 @@ class History:
         k = bisect_left(self._checkpoint_times, self._redo_from_ns) - 1
         del self._checkpoints[k + 1 :], self._checkpoint_times[k + 1 :]
         self.tracker = self._checkpoints[k].copy()
-        at = self.tracker.t_ns
+        at = self.tracker.core.t_ns
         self._next = bisect_right(self._orders, at, key=lambda order: order[0])
         self._since_checkpoint = 0
         self._redo_from_ns = None

@@ -151,7 +151,7 @@ def _forward(tracker: Tracker, samples: ImuBuffer, aids: list[Aid]) -> Iterator[
     tips: dict[Hypothesis, Node] = {}
     for k, t_ns in enumerate(stops):
         tips = _step(tracker, samples, tips, t_ns, at.get(t_ns, []))
-        leader = tips[tracker.hypotheses.members[0]] if tracker.hypotheses is not None and tips else None
+        leader = tips[tracker.core.hypotheses.members[0]] if tracker.core.hypotheses is not None and tips else None
         yield (k + 1) / len(stops), leader
 
 
@@ -159,19 +159,19 @@ def _step(
     tracker: Tracker, samples: ImuBuffer, tips: dict[Hypothesis, Node], t_ns: int, aids: list[Aid]
 ) -> dict[Hypothesis, Node]:
     """Take the tracker to t_ns and through the aids there; tips: each hypothesis' newest node, before and after."""
-    index, from_ns = samples.first_after(tracker.t_ns), tracker.t_ns
-    missing = _imu_missing(samples, from_ns, t_ns, tracker.config.coast.gap_s)
+    index, from_ns = samples.first_after(tracker.core.t_ns), tracker.core.t_ns
+    missing = _imu_missing(samples, from_ns, t_ns, tracker.core.config.coast.gap_s)
     phis = {} if missing else {m: _transition(m, samples, index, t_ns) for m in tips}
     tracker.propagate(samples, t_ns)
     links = {m: Link(tips[m], phi, m.filter.x.copy(), m.filter.cov[: E.SIZE, : E.SIZE].copy()) for m, phi in phis.items()}
     for aid in aids:
         state_before = {m.filter.x.tobytes(): m for m in links}
         tracker.process(aid, samples)
-        if tracker.hypotheses is not None:
-            links |= _of_parents(tracker.hypotheses.members, links, state_before)
-    if tracker.hypotheses is None or not tracker.is_aligned:
+        if tracker.core.hypotheses is not None:
+            links |= _of_parents(tracker.core.hypotheses.members, links, state_before)
+    if tracker.core.hypotheses is None or not tracker.core.is_aligned:
         return {}
-    members = tracker.hypotheses.members
+    members = tracker.core.hypotheses.members
     late = np.zeros((E.SIZE, E.SIZE)) if tracker.late_cov is None else tracker.late_cov
     return {m: Node(t_ns, m.filter.x.copy(), m.filter.cov[: E.SIZE, : E.SIZE].copy(), links.get(m), late) for m in members}
 

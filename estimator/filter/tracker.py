@@ -16,6 +16,7 @@ from estimator.filter.alignment import (
     NO_POSITION,
     WRONG_SENSOR,
     Alignment,
+    Core,
     Decision,
     TrackerConfig,
     covariance,
@@ -25,12 +26,11 @@ from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.gnss_anchor import GnssAnchor
 from estimator.filter.hypotheses import Hypotheses, Hypothesis
 from estimator.filter.imu_buffer import ImuBuffer
+from estimator.filter.imu_evidence import FELT, ImuEvidence
 from estimator.filter.mismatch import BiasWalk, Delays, PathScale, Scatter, delay
 from estimator.filter.relative import steps
 from estimator.filter.relinearise import Stretch
 from estimator.filter.variance_factor import NO_EXCESS
-from estimator.sources import rest
-from estimator.sources.air import drag
 from estimator.sources.air.through_air import AirVelocity, DragForce
 from estimator.sources.base import held
 from estimator.sources.base.aid import Aid, Refusal
@@ -38,8 +38,7 @@ from estimator.sources.base.machine import Phase, SourceState
 from estimator.sources.imu.choice import ImuAid
 from estimator.sources.landmark import position_innovation
 from estimator.sources.odometry import Kept, OdometryAid
-from estimator.sources.rest import Rest, RestConfig
-from models import imu, so3
+from models import imu
 from models.frames import Origin
 from models.measurements import Conditional, Heading, Measurement, PartialPose, Pose, Position, Velocity
 from models.messages import Array, Checkpoint, Mode, Reason
@@ -48,28 +47,24 @@ from models.state import E, X
 _NO_PLACE = "give [map] origin to use GNSS or a magnetometer together with fixes on a local map"
 _UNKNOWN = SourceState()
 _NO_RATE = np.zeros(3)
-_NO_IMU = np.zeros(6)
 _FOR_ALIGNED = "odometry is used once aligned"
 _LOST_NS = 60_000_000_000  # an IMU gap after which the alignment begins again
 _NOT_YET = "used once the attitude is known: false axes would mislead the alignment"
 _XYZ = 3
-_MOVES = 2  # velocities, seconds apart, that are not zero: what looks at rest goes on so
-_ON_THE_GROUND = RestConfig()
+_REFUTED = 2  # positions in a row
 _USELESS = 100.0  # times the variance that a source claims, and it is no aid
-_FELT = frozenset({rest.TOPIC, drag.TOPIC})
 
 
-class Tracker(Alignment):
-    """Hypotheses, alignment, source machines and what was last known, at t_ns."""
+class Tracker:
+    """Hypotheses, alignment, source machines and what was last known."""
 
     def __init__(self, config: TrackerConfig) -> None:
-        super().__init__(config)
-        self._aided_ns = round(config.dead_reckoning_after_s * 1e9)
+        self.core = Core(config)
+        self.alignment = Alignment(self.core)
+        self.imu = ImuEvidence(self.core)
         self.place = config.origin.lla if config.origin else None
-        self.rest_since: tuple[int, float] | None = None  # and the heading then
-        self.rest_refuted = 0  # how often positions have shown that it moves, since the IMU showed motion
         self.sources: dict[str, SourceState] = {}
-        self.same: dict[str, tuple[bytes, int]] = {}  # what a sensor reads, and since when, by topic
+        self.failed: dict[str, int] = {}  # gates in a row, of sources of positions and their velocities; never changed in place
         self.held_ns: dict[str, int] = {}  # when a source last repeated a reading; never changed in place
         self.last_odometry_ns = NEVER
         self.kept: dict[str, Kept] = {}  # poses that the filters keep, by topic of odometry
@@ -84,60 +79,67 @@ class Tracker(Alignment):
         """An independent tracker in the same state; what never changes in place is shared."""
         other = object.__new__(Tracker)
         other.__dict__.update(self.__dict__)
-        other.hypotheses = self.hypotheses.copy() if self.hypotheses else None
-        other.resting = self.resting.copy() if self.resting else None
-        other.without_sensor = self.without_sensor.copy() if self.without_sensor else None
-        other.sources, other.kept, other.same = self.sources.copy(), self.kept.copy(), self.same.copy()
+        other.core = self.core.copy()
+        other.alignment, other.imu = self.alignment.copy(other.core), self.imu.copy(other.core)
+        other.sources, other.kept = self.sources.copy(), self.kept.copy()
         return other
 
     def restarted(self) -> "Tracker":
         """A tracker without estimate, on the same map and with the same trust in the sources."""
-        other = Tracker(self.config)
-        other.origin, other.place, other.constants, other.noise = self.origin, self.place, self.constants, self.noise
-        other.sources, other.absolute = self.sources.copy(), self.absolute
-        other.last_absolute_ns, other.anchor, other.given_up = self.last_absolute_ns, self.anchor, self.given_up
+        other, core = Tracker(self.core.config), self.core
+        other.core.origin, other.core.constants, other.core.noise = core.origin, core.constants, core.noise
+        other.core.absolute, other.core.last_absolute_ns = core.absolute, core.last_absolute_ns
+        other.sources, other.place, other.anchor = self.sources.copy(), self.place, self.anchor
+        other.alignment.given_up = self.alignment.given_up
         other.path_scale, other.delays, other.bias_walk = self.path_scale, self.delays, self.bias_walk
         return other
 
     @property
+    def is_refuted(self) -> bool:
+        """No hypothesis foresaw the last positions, or a source of positions has failed its gate several times in a row."""
+        return self.alignment.contradiction.unforeseen >= _REFUTED or max(self.failed.values(), default=0) >= _REFUTED
+
+    @property
     def standing(self) -> int:
         """How much of an estimate there is: 2 aligned, 1 published without a heading, 0 none."""
-        return 2 if self.is_aligned else int(self.shown is not None)
+        return 2 if self.core.is_aligned else int(self.alignment.shown is not None)
 
     def shown_covariance(self) -> Array:
         """Of what is shown."""
-        bank = self.bank
+        core = self.core
+        bank = self.alignment.bank
         assert bank is not None
-        cov = bank.covariance() if self.is_aligned else covariance(bank, self.config.initialise)
-        if self.variance_factor.lasting > self.variance_factor.value:
-            cov *= self.variance_factor.lasting / self.variance_factor.value
-        if self.conflicts.apart:
-            cov[E.P, E.P] += self.conflicts.added(is_decided=self.is_aligned)
+        cov = bank.covariance() if core.is_aligned else covariance(bank, core.config.initialise)
+        if core.variance_factor.lasting > core.variance_factor.value:
+            cov *= core.variance_factor.lasting / core.variance_factor.value
+        if core.conflicts.apart:
+            cov[E.P, E.P] += core.conflicts.added(is_decided=core.is_aligned)
         if self.late_cov is not None:
             cov += self.late_cov
-        if self.is_aligned and self.without_sensor is not None:
-            return self.without_sensor.mixed(cov, bank.lead.x)
+        if core.is_aligned and self.alignment.without_sensor is not None:
+            return self.alignment.without_sensor.mixed(cov, bank.lead.x)
         return cov
 
     @property
     def is_sound(self) -> bool:
         """Every number of the leading filter is finite, every variance positive."""
-        return self.bank is None or self.bank.lead.sound
+        return self.alignment.bank is None or self.alignment.bank.lead.sound
 
     def violation(self, eskf: Eskf) -> str:
         """What of the state is beyond any vehicle's; '' where nothing is."""
-        return self.config.bounds.violation(eskf.x, eskf.cov, self.place[2] if self.place else 0.0)
+        return self.core.config.bounds.violation(eskf.x, eskf.cov, self.place[2] if self.place else 0.0)
 
     def resume(self, checkpoint: Checkpoint) -> None:
         """Begin aligned, in the state in which an earlier run was interrupted."""
-        self.t_ns, self.last_absolute_ns = checkpoint.t_ns, checkpoint.last_absolute_ns
+        core = self.core
+        core.t_ns, core.last_absolute_ns = checkpoint.t_ns, checkpoint.last_absolute_ns
         if checkpoint.origin is not None:
-            self.origin, self.place = Origin(*checkpoint.origin), checkpoint.origin
-            self.constants = imu.constants(self.noise, self.config.coast, self.origin)
-        lead = Eskf(checkpoint.t_ns, checkpoint.nav.copy(), checkpoint.covariance.copy(), self.constants)
+            core.origin, self.place = Origin(*checkpoint.origin), checkpoint.origin
+            core.constants = imu.constants(core.noise, core.config.coast, core.origin)
+        lead = Eskf(checkpoint.t_ns, checkpoint.nav.copy(), checkpoint.covariance.copy(), core.constants)
         since_ns = max(checkpoint.last_absolute_ns, checkpoint.t_ns - _LOST_NS)
-        self.hypotheses = Hypotheses([Hypothesis(lead, fused_ns=since_ns, run=1, run_ns=since_ns)])
-        self.is_aligned = True
+        core.hypotheses = Hypotheses([Hypothesis(lead, fused_ns=since_ns, run=1, run_ns=since_ns)])
+        core.is_aligned = True
         if (last := checkpoint.last_gnss) is not None:
             place, fixed_ns = (last.lat_deg, last.lon_deg, last.alt_m), checkpoint.t_ns - round(last.age_s * 1e9)
             self.anchor = GnssAnchor(place, fixed_ns, last.sigma_m, float(np.linalg.norm(lead.x[X.V])))
@@ -145,86 +147,89 @@ class Tracker(Alignment):
     @property
     def detail(self) -> str:
         """What keeps it from an estimate."""
-        if self.plausibility.detail or self.given_up:
-            return self.plausibility.detail or contradiction.SAYS
-        if self.hypotheses is not None:
-            return "" if self.is_aligned else lacks(self.hypotheses, self.config.initialise)
-        return AT_REST if self.still else NO_POSITION
+        core = self.core
+        if self.alignment.plausibility.detail or self.alignment.given_up:
+            return self.alignment.plausibility.detail or contradiction.SAYS
+        if core.hypotheses is not None:
+            return "" if core.is_aligned else lacks(core.hypotheses, core.config.initialise)
+        return AT_REST if self.alignment.still else NO_POSITION
 
     @property
     def remarks(self) -> list[str]:
         """What makes an estimate that is published less certain than configured."""
-        if self.shown is None:
+        core = self.core
+        if self.alignment.shown is None:
             return []
-        beside = self.without_sensor if self.is_aligned else None
+        beside = self.alignment.without_sensor if core.is_aligned else None
         return [
             *filter(None, (self._conflict(), remarks.heading(beside.topic) if beside is not None else "")),
-            *(remarks.apart(self.conflicts.apart) if self.is_aligned and not self._conflict() else ()),
-            *remarks.units(self.path_scale, self.absolute),
+            *(remarks.apart(core.conflicts.apart) if core.is_aligned and not self._conflict() else ()),
+            *remarks.units(self.path_scale, core.absolute),
             *remarks.drifts(self.sources),
-            *remarks.delays(self.delays, self.hypotheses),
-            *remarks.variance(self.variance_factor.lasting),
-            *remarks.held(self.held_ns, self.t_ns),
-            *remarks.scatter(self.scatter, self.t_ns),
-            *remarks.imu(self.hypotheses if self.is_aligned else None),
+            *remarks.delays(self.delays, core.hypotheses),
+            *remarks.variance(core.variance_factor.lasting),
+            *remarks.held(self.held_ns, core.t_ns),
+            *remarks.scatter(self.scatter, core.t_ns),
+            *remarks.imu(core.hypotheses if core.is_aligned else None),
         ]
 
     def _conflict(self) -> str:
-        return remarks.conflict(self.hypotheses, self.absolute, self.sources, self.t_ns)
+        core = self.core
+        return remarks.conflict(core.hypotheses, core.absolute, self.sources, core.t_ns)
 
     @property
     def needs_from_ns(self) -> int:
         """The oldest IMU sample that may be gone through again."""
-        beside = self.without_sensor.stretch if self.without_sensor is not None else None
-        return min((s.t_ns for s in (self.stretch, beside) if s is not None), default=2**62)
+        beside = self.alignment.without_sensor.stretch if self.alignment.without_sensor is not None else None
+        return min((s.t_ns for s in (self.core.stretch, beside) if s is not None), default=2**62)
 
     def propagate(self, samples: ImuBuffer, to_ns: int) -> None:
         """Through the IMU samples to `to_ns`; after a minute without any, nothing is left to go on with."""
-        if to_ns - self.t_ns > _LOST_NS:
-            self.hypotheses, self.stretch, self.is_aligned, self.without_sensor = None, None, False, None
-            self.resting, self.waits_since_ns, self.shows_unaligned = None, None, False
-        bank = self.bank
-        if bank is not None and self.t_ns < to_ns:
-            index = samples.first_after(self.t_ns)
-            beside = self.without_sensor.bank.members if self.without_sensor is not None else ()
-            for member in (*bank.members, *beside):
+        core = self.core
+        if to_ns - core.t_ns > _LOST_NS:
+            self.alignment.lose()
+        if core.t_ns < to_ns and (members := self.alignment.members):
+            index = samples.first_after(core.t_ns)
+            for member in members:
                 member.filter.propagate(samples, index, to_ns)
-        self.t_ns = to_ns
+        core.t_ns = to_ns
 
     def mode(self, newest_imu_ns: int, t_ns: int) -> Mode:
         """What an estimate for t_ns rests on."""
-        if self.hypotheses is None or not self.is_aligned:
-            if self.shown is not None:
+        core = self.core
+        if core.hypotheses is None or not core.is_aligned:
+            if self.alignment.shown is not None:
                 return Mode.ALIGNING_HEADING
-            return Mode.STARTING if self.plausibility.phase is not Phase.ACTIVE else Mode.ALIGNING
-        if t_ns - newest_imu_ns > self._gap_ns:
+            return Mode.STARTING if self.alignment.plausibility.phase is not Phase.ACTIVE else Mode.ALIGNING
+        if t_ns - newest_imu_ns > core.gap_ns:
             return Mode.COASTING
-        if t_ns - self.last_absolute_ns <= self._aided_ns:
+        if t_ns - core.last_absolute_ns <= core.aided_ns:
             return Mode.AIDED
-        return Mode.ODOMETRY if t_ns - self.last_odometry_ns <= self._aided_ns else Mode.DEAD_RECKONING
+        return Mode.ODOMETRY if t_ns - self.last_odometry_ns <= core.aided_ns else Mode.DEAD_RECKONING
 
     def process(self, aid: Aid, samples: ImuBuffer) -> Decision:
         """Take a measurement valid now (t_ns is aid.t_ns)."""
-        if aid.geodetic and self.origin is None and self.hypotheses is None:
-            self.origin, self.place = Origin(*aid.geodetic), aid.geodetic
-            self.constants = imu.constants(self.noise, self.config.coast, self.origin)
+        core = self.core
+        if aid.geodetic and core.origin is None and core.hypotheses is None:
+            core.origin, self.place = Origin(*aid.geodetic), aid.geodetic
+            core.constants = imu.constants(core.noise, core.config.coast, core.origin)
         if isinstance(aid, OdometryAid):
             return self._odometry(aid)
         if isinstance(aid, ImuAid):
             return self._change_imu(aid)
-        if aid.check is not None and (refusal := aid.check(self.origin)) is not None:
+        if aid.check is not None and (refusal := aid.check(core.origin)) is not None:
             return Decision(refusal.reason, detail=refusal.detail)
-        aid, z = self._felt(aid, samples) if aid.kind in _FELT else (aid, aid.measurement(self.origin))
+        aid, z = self.imu.felt(aid, samples) if aid.kind in FELT else (aid, aid.measurement(core.origin))
         if z is None:
-            waits = self.hypotheses is None and not aid.geodetic
+            waits = core.hypotheses is None and not aid.geodetic
             return Decision(Reason.ALIGNING, detail=NO_POSITION) if waits else Decision(Reason.NO_ORIGIN, detail=_NO_PLACE)
         if isinstance(z, Refusal):
             return Decision(z.reason, detail=z.detail)
-        if isinstance(z, Conditional) and (bank := self.bank) is not None and (why := z.objection(bank.lead.x)):
+        if isinstance(z, Conditional) and (bank := self.alignment.bank) is not None and (why := z.objection(bank.lead.x)):
             return Decision(Reason.IMPLAUSIBLE, detail=why)
         if aid.alignment_only:
-            return self._take_prior(aid, z)
-        if aid.kind not in _FELT and self._is_held(aid, z, samples):
+            return self.alignment.take_prior(aid, z)
+        if aid.kind not in FELT and self.imu.is_held(aid, z, samples):
             if not aid.weighs:
                 self.sources[aid.topic] = self.sources.get(aid.topic, _UNKNOWN).held(aid.rules, aid.t_ns)
             self._forget_estimated(aid, z)
@@ -237,10 +242,10 @@ class Tracker(Alignment):
             self.sources[aid.topic] = _UNKNOWN
             return Decision(Reason.IMPLAUSIBLE, detail=why)
         if isinstance(z, Heading):
-            if aid.t_ns < self.wrong_until_ns.get(aid.topic, NEVER):
+            if aid.t_ns < self.alignment.wrong_until_ns.get(aid.topic, NEVER):
                 return Decision(Reason.STOPPED, detail=WRONG_SENSOR)
-            self.sensed = None if self.is_aligned else (aid, z)
-        elif not aid.weighs and not self.is_aligned:
+            self.alignment.sensed = None if core.is_aligned else (aid, z)
+        elif not aid.weighs and not core.is_aligned:
             return Decision(Reason.ALIGNING, detail=_NOT_YET)
         state = self.sources.get(aid.topic, _UNKNOWN)
         if aid.t_ns - state.last_ns < aid.rules.spacing_s * 1e9:
@@ -248,47 +253,48 @@ class Tracker(Alignment):
         alone = self._alone(aid)
         state = state.arrive(aid.rules, aid.t_ns, alone=alone)
         if aid.absolute:
-            self.absolute |= {aid.topic}
-        gyro_b = self._imu(samples)[:_XYZ] if aid.uses_rate else _NO_RATE  # no other measurement asks for it
-        self._check_sensor(aid, z, samples, gyro_b)
-        if self.hypotheses is None or not self.is_aligned:
+            core.absolute |= {aid.topic}
+        gyro_b = core.sample_now(samples)[:_XYZ] if aid.uses_rate else _NO_RATE  # no other measurement asks for it
+        self.alignment.check_sensor(aid, z, samples, gyro_b)
+        if core.hypotheses is None or not core.is_aligned:
             if isinstance(z, Velocity):
-                self._note_course(z, samples)
-            decision = self._align(aid, z, samples, gyro_b)
-            if self.hypotheses is not None:
+                self.alignment.note_course(z, samples)
+            decision = self.alignment.align(aid, z, samples, gyro_b)
+            if core.hypotheses is not None:
                 state = replace(state, fused_ns=aid.t_ns)
                 self._note_absolute(aid, z)
-            self._wait_for_heading(aid, z, gyro_b)
+            self.alignment.wait_for_heading(aid, z, gyro_b)
         else:
-            hypotheses, switches = self.hypotheses, self.hypotheses.switches
-            aid = delay.carried(aid, z, self._last_imu(samples), self.delays, hypotheses.members, alone=alone)
+            hypotheses, switches = core.hypotheses, core.hypotheses.switches
+            aid = delay.carried(aid, z, core.last_sample(samples), self.delays, hypotheses.members, alone=alone)
             decision, state = self._judge(aid, z, gyro_b, state, alone=alone)
             if decision.reason is Reason.GATED:
                 self._forget_estimated(aid, z)
-            if self.hypotheses is not hypotheses or hypotheses.switches != switches:
-                self.stretch = None  # another filter leads, with another past, or none
-            elif self.stretch is not None and decision.reason is Reason.FUSED:
-                longer = self.stretch.also(aid, z, gyro_b)
-                if longer is not self.stretch:  # a run ends at the newest measurement that is in it, which has to be this one
+            if core.hypotheses is not hypotheses or hypotheses.switches != switches:
+                core.stretch = None  # another filter leads, with another past, or none
+            elif core.stretch is not None and decision.reason is Reason.FUSED:
+                longer = core.stretch.also(aid, z, gyro_b)
+                if longer is not core.stretch:  # a run ends at the newest measurement that is in it, which has to be this one
                     self._settle(longer, samples, aid.witness if alone else "")
         self.sources[aid.topic] = state
         return decision
 
     def _odometry(self, aid: OdometryAid) -> Decision:
         """Keep the pose, or fuse the motion since the one that was kept."""
-        if self.hypotheses is None or not self.is_aligned:
+        core = self.core
+        if core.hypotheses is None or not core.is_aligned:
             self.kept.pop(aid.topic, None)
             return Decision(Reason.ALIGNING, detail=_FOR_ALIGNED)
-        state, switches = self.sources.get(aid.topic, _UNKNOWN), self.hypotheses.switches
-        step = steps.take(self.hypotheses, aid, self.kept.get(aid.topic), state, alone=self._alone(aid))
+        state, switches = self.sources.get(aid.topic, _UNKNOWN), core.hypotheses.switches
+        step = steps.take(core.hypotheses, aid, self.kept.get(aid.topic), state, alone=self._alone(aid))
         if step.kept is not None:
             self.kept[aid.topic] = step.kept
         if step.seen is None:
             return Decision(step.reason, detail=step.detail)
         self.sources[aid.topic] = step.state
-        self.hypotheses.drop(lambda member: bool(self.violation(member.filter)))
-        if self.hypotheses.switches != switches:
-            self.stretch = None
+        core.hypotheses.drop(lambda member: bool(self.violation(member.filter)))
+        if core.hypotheses.switches != switches:
+            core.stretch = None
         if step.reason is Reason.FUSED:
             self.last_odometry_ns = aid.t_ns
         nu, sigma = step.seen.nu.tolist(), np.sqrt(step.seen.s.diagonal()).tolist()
@@ -296,86 +302,50 @@ class Tracker(Alignment):
 
     def _change_imu(self, aid: ImuAid) -> Decision:
         """The samples that follow are those of another IMU, with biases of its own; no run goes across the change."""
-        self.noise = self.config.imu.scaled(aid.factor)
-        self.constants = imu.constants(self.bias_walk.of_noise(self.noise), self.config.coast, self.origin)
-        beside = self.without_sensor.bank.members if self.without_sensor is not None else ()
-        for member in (*(self.bank.members if self.bank is not None else ()), *beside):
+        core = self.core
+        core.noise = core.config.imu.scaled(aid.factor)
+        core.constants = imu.constants(self.bias_walk.of_noise(core.noise), core.config.coast, core.origin)
+        for member in self.alignment.members:
             member.filter.change_imu(aid.shift, aid.sigma)
-            member.adopt(self.constants, doubts_imu=False)
-        if self.without_sensor is not None:
-            self.without_sensor.stretch = None
-        self.stretch = None
+            member.adopt(core.constants, doubts_imu=False)
+        if self.alignment.without_sensor is not None:
+            self.alignment.without_sensor.stretch = None
+        core.stretch = None
         return Decision(Reason.FUSED, detail=aid.detail)
-
-    def _felt(self, aid: Aid, samples: ImuBuffer) -> tuple[Aid, Measurement | Refusal]:
-        """What the IMU itself shows: rest, or the drag of a multirotor."""
-        if aid.kind == rest.TOPIC:
-            return aid, self._rest(samples)
-        config = self.config.drag
-        second, begin = self._stretch(samples), samples.first_after(self.t_ns - round(config.every_s * 1e9))
-        u = samples.u[begin : samples.first_after(self.t_ns)]
-        if second is None or not len(u) or not self.is_aligned:
-            return aid, Refusal(Reason.THINNED, NO_POSITION)
-        if rest.is_quiet(second, _ON_THE_GROUND):
-            return aid, Refusal(Reason.THINNED, "at rest")
-        return drag.felt(aid, u, config)
-
-    def _rest(self, samples: ImuBuffer) -> Rest | Refusal:
-        """The vehicle at rest, as the last second of the IMU shows it and the estimate confirms."""
-        rules, u = self.config.rest, self._stretch(samples)
-        if u is None or not self.is_aligned or self.hypotheses is None or not rest.is_quiet(u, rules):
-            if self.rest_since is not None and self.is_aligned and self.hypotheses is not None:
-                self.hypotheses.forget(rest.BLOCK)
-                self.stretch = Stretch.of(self.hypotheses.lead)
-            self.rest_since, self.rest_refuted = None, 0
-            return Refusal(Reason.THINNED, "in motion" if self.is_aligned else NO_POSITION)
-        lead = self.hypotheses.lead
-        if self.rest_since is None:
-            self.rest_since = self.t_ns, so3.to_euler(lead.x[X.Q])[2]
-        since_ns, azimuth = self.rest_since
-        if self.t_ns - since_ns < rules.after_s * 1e9:
-            return Refusal(Reason.THINNED, "at rest for a moment")
-        why = rest.objection(lead.x, lead.cov, rules)
-        if why or self.rest_refuted >= _MOVES:
-            self.rest_since = None  # it has to look at rest for as long again
-            self.rest_refuted += self.t_ns - self.last_absolute_ns <= self._aided_ns
-            return Refusal(Reason.GATED, why or "looks at rest, but positions have shown that it moves")
-        self.stretch = None  # a run would leave out what rest has shown, and rest is linear
-        earth_n = self.origin.earth_rate_n if self.origin is not None else _NO_RATE
-        return rest.at_rest(u, azimuth, earth_n, rules)
 
     def _judge(self, aid: Aid, z: Measurement, gyro_b: Array, state: SourceState, *, alone: bool) -> tuple[Decision, SourceState]:
         """Gate and fuse, once aligned."""
-        assert self.hypotheses is not None
+        core = self.core
+        assert core.hypotheses is not None
         receiver = self.sources.get(aid.receiver or "", _UNKNOWN)  # of a velocity: it stands and falls with its positions
         trusted = state.phase is Phase.ACTIVE and (receiver.phase is Phase.ACTIVE or aid.t_ns > receiver.silent_ns)
         known = self.scatter.get(aid.topic) or Scatter(aid.t_ns, ())
         trusted = trusted and known.factor < _USELESS
         if known.factor > 1.0 and isinstance(z, Pose | Position | Velocity):
             z = replace_in(z, noise=known.factor * z.noise)
-        verdict = self.hypotheses.judge(aid, z, gyro_b, trusted=trusted, vouched=aid.absolute and self._vouched(aid))
+        verdict = core.hypotheses.judge(aid, z, gyro_b, trusted=trusted, vouched=aid.absolute and self._vouched(aid))
         if (aid.absolute or aid.receiver) and isinstance(z, Pose | Position | Velocity):
-            now = known.also(aid.t_ns, verdict.seen, self.variance_factor.value)
+            now = known.also(aid.t_ns, verdict.seen, core.variance_factor.value)
             self.scatter = {**self.scatter, aid.topic: now}
         if trusted and aid.absolute:
-            self._note_variance(aid, verdict.seen)
+            core.note_variance(aid, verdict.seen)
         if verdict.fused and aid.absolute and alone and not aid.geodetic:  # two sources that disagree are no motion
             self._note_biases(aid, verdict.seen)
         if aid.absolute or aid.receiver:
             self.failed = {**self.failed, aid.topic: 0 if verdict.passed else self.failed.get(aid.topic, 0) + 1}
-        apart = self.conflicts.apart.get(aid.witness)
-        may_be_late = apart is None or delay.explains(apart.off, apart.s, self.hypotheses.lead.x)
+        apart = core.conflicts.apart.get(aid.witness)
+        may_be_late = apart is None or delay.explains(apart.off, apart.s, core.hypotheses.lead.x)
         if trusted and may_be_late and (aid.absolute or aid.receiver):
-            self.delays = delay.noted(aid, verdict.seen, verdict.gate, self.delays, self.hypotheses.members)
+            self.delays = delay.noted(aid, verdict.seen, verdict.gate, self.delays, core.hypotheses.members)
             if aid.absolute and (aid.delay_sigma_s or alone):
-                self.late_cov = self.delays[aid.witness].covariance(aid.delay_sigma_s, self.hypotheses.lead.x[X.V])
+                self.late_cov = self.delays[aid.witness].covariance(aid.delay_sigma_s, core.hypotheses.lead.x[X.V])
             if self.delays[aid.witness].is_state:
-                self.stretch = None  # a run would leave the delay out
-        is_rejected = aid.topic in self.hypotheses.members[0].rejected
-        self.conflicts = self.conflicts.judged(aid, z, self.hypotheses.lead.x[X.P], is_rejected=is_rejected)
-        if (found := self.conflicts.apart.get(aid.witness)) and found.lasts and aid.receiver:
-            self.hypotheses.cover(aid.witness)
-        self.hypotheses.drop(lambda member: bool(self.violation(member.filter)))
+                core.stretch = None  # a run would leave the delay out
+        is_rejected = aid.topic in core.hypotheses.members[0].rejected
+        core.conflicts = core.conflicts.judged(aid, z, core.hypotheses.lead.x[X.P], is_rejected=is_rejected)
+        if (found := core.conflicts.apart.get(aid.witness)) and found.lasts and aid.receiver:
+            core.hypotheses.cover(aid.witness)
+        core.hypotheses.drop(lambda member: bool(self.violation(member.filter)))
         sigma = np.sqrt(verdict.seen.s.diagonal())
         if verdict.fused:
             reason = Reason.FUSED
@@ -389,7 +359,7 @@ class Tracker(Alignment):
             aid.rules, aid.t_ns, alone=alone, passed=verdict.passed, fused=verdict.fused, nu=verdict.seen.nu, sigma=sigma
         )
         if state.held_until_ns > aid.t_ns and trusted:
-            self.hypotheses.leave(aid.witness)
+            core.hypotheses.leave(aid.witness)
         if not aid.weighs and not verdict.passed:
             state = state.held(aid.rules, aid.t_ns, alone=alone)
         ratio = verdict.seen.distance2 / verdict.gate
@@ -397,108 +367,86 @@ class Tracker(Alignment):
         position = position_innovation(z, verdict.seen.nu, verdict.seen.s) if aid.absolute else None
         return Decision(reason, tuple(verdict.seen.nu.tolist()), tuple(sigma.tolist()), ratio, detail, position), state
 
-    def _is_held(self, aid: Aid, z: Measurement, samples: ImuBuffer) -> bool:
-        """It reads the same as before, though the vehicle moves."""
-        reading = held.content(z, aid.order[-1])
-        known, since_ns = self.same.get(aid.topic, (b"", 0))
-        if known != reading:
-            self.same[aid.topic] = reading, aid.t_ns
-            return False
-        if aid.t_ns - since_ns < held.spares_ns(z, aid.kind):
-            return False
-        second = self._stretch(samples)
-        if second is None:
-            return False
-        bank = self.hypotheses if self.is_aligned else None
-        return not rest.is_quiet(second, _ON_THE_GROUND) or (bank is not None and held.moves(bank.lead.x, bank.lead.cov))
-
     def _forget_estimated(self, aid: Aid, z: Measurement) -> None:
         """Wind or sensor have changed: what is estimated of them is unknown again, while positions show the motion."""
+        core = self.core
         if not isinstance(z, AirVelocity | DragForce):
             return
-        if self.hypotheses is not None and self.t_ns - self.last_absolute_ns <= self._aided_ns:
+        if core.hypotheses is not None and core.is_aided:
             for slow in aid.slow_errors:
                 if slow.walk is not None:
-                    self.hypotheses.forget(slow.block)
+                    core.hypotheses.forget(slow.block)
 
     def _settle(self, stretch: Stretch, samples: ImuBuffer, alone: str) -> None:
         """Once aligned, run the stretch again where that is worth it, until the linear filter can go on alone.
 
         Not in dead reckoning: without absolute positions nothing confirms where a run ends. alone: the topic of the only source.
         """
-        assert self.hypotheses is not None
-        lead = self.hypotheses.lead
-        is_long, is_aided = stretch.is_long(self.t_ns), self.t_ns - self.last_absolute_ns <= self._aided_ns
+        core = self.core
+        assert core.hypotheses is not None
+        lead = core.hypotheses.lead
+        is_long, is_aided = stretch.is_long(core.t_ns), core.is_aided
         if is_aided and (is_long or stretch.due(lead)):
-            stretch = self._relinearise(stretch, samples)
-            if self.hypotheses.lead is not lead:
-                delay.begin_again(self.hypotheses.lead, alone, self._last_imu(samples))
-        self.stretch = stretch
+            stretch = core.relinearise(stretch, samples)
+            if core.hypotheses.lead is not lead:
+                delay.begin_again(core.hypotheses.lead, alone, core.last_sample(samples))
+        core.stretch = stretch
         if stretch.is_settled:
-            self.stretch = None
+            core.stretch = None
         elif is_long:
-            self.stretch = Stretch.of(self.hypotheses.lead)
-
-    def _last_imu(self, samples: ImuBuffer) -> Array | None:
-        """The last sample up to now, (6,), which none that comes later changes; None in a gap."""
-        last = samples.first_after(self.t_ns) - 1
-        return samples.u[last] if last >= 0 and self.t_ns - samples.t_ns[last] <= self._gap_ns else None
-
-    def _imu(self, samples: ImuBuffer) -> Array:
-        """The raw angular rate and specific force now, (6,)."""
-        if not samples.count:
-            return _NO_IMU
-        index = samples.first_after(self.t_ns)
-        return imu.interpolate(samples.t_ns, samples.u, samples.count, index, self.t_ns)
+            core.stretch = Stretch.of(core.hypotheses.lead)
 
     def _note_biases(self, aid: Aid, seen: Innovation) -> None:
         """Whether they walk faster than configured."""
-        assert self.hypotheses is not None
+        core = self.core
+        assert core.hypotheses is not None
         before = self.bias_walk
-        self.bias_walk = before.also(aid.topic, aid.t_ns, seen, self.variance_factor.value)
+        self.bias_walk = before.also(aid.topic, aid.t_ns, seen, core.variance_factor.value)
         if self.bias_walk.factor != before.factor:
-            self.constants = imu.constants(self.bias_walk.of_noise(self.noise), self.config.coast, self.origin)
-            walked = self.bias_walk.walked(before, self.noise)
-            for member in self.hypotheses.members:
-                member.adopt(self.constants, doubts_imu=member.doubts_imu)
+            core.constants = imu.constants(self.bias_walk.of_noise(core.noise), core.config.coast, core.origin)
+            walked = self.bias_walk.walked(before, core.noise)
+            for member in core.hypotheses.members:
+                member.adopt(core.constants, doubts_imu=member.doubts_imu)
                 member.filter.widen_biases(walked)
 
     def _alone(self, aid: Aid) -> bool:
         """No other absolute source is active to compare this one with."""
         return not any(
             topic not in {aid.topic, aid.witness}
-            and topic in self.absolute
+            and topic in self.core.absolute
             and (aid.t_ns - s.fused_ns) * 1e-9 < aid.rules.timeout_s
             for topic, s in self.sources.items()
         )
 
     def _leave(self, position_n: Array) -> None:
         """A source that has been fused turns out to be wrong; a position of GNSS (3,) shows by how much it may have misled."""
-        self.variance_factor = NO_EXCESS
-        if not self.is_aligned or self.hypotheses is None:
-            self._begin_again()
+        core = self.core
+        core.variance_factor = NO_EXCESS
+        if not core.is_aligned or core.hypotheses is None:
+            self.alignment.begin_again()
             return
-        del self.hypotheses.members[1:]
-        lead, self.stretch = self.hypotheses.lead, None
+        del core.hypotheses.members[1:]
+        lead, core.stretch = core.hypotheses.lead, None
         off = position_n - lead.x[X.P]
-        self.hypotheses.members[0].doubts.clear()
-        self.hypotheses.members[0].without = ""
+        core.hypotheses.members[0].doubts.clear()
+        core.hypotheses.members[0].without = ""
         lead.widen(max(1.0, float(np.linalg.norm(off) / np.sqrt(np.trace(lead.cov[E.P, E.P])))))
 
     def _vouched(self, aid: Aid) -> bool:
         """Another absolute source has been fused lately."""
         return any(
-            topic != aid.topic and topic in self.absolute and aid.t_ns - s.fused_ns < remarks.VOUCHED_NS
+            topic != aid.topic and topic in self.core.absolute and aid.t_ns - s.fused_ns < remarks.VOUCHED_NS
             for topic, s in self.sources.items()
         )
 
     def _note_absolute(self, aid: Aid, z: Measurement) -> None:
         """An absolute position was fused; a geodetic one is the last-known GPS."""
+        core = self.core
         if not aid.absolute:
             return
-        self.last_absolute_ns = aid.t_ns
-        if aid.geodetic and self.hypotheses is not None:
-            lead = self.hypotheses.lead
+        core.last_absolute_ns = aid.t_ns
+        if aid.geodetic and core.hypotheses is not None:
+            lead = core.hypotheses.lead
             sigma = math.sqrt(max(z.noise.diagonal().tolist()[: _XYZ - 1]))
             speed = math.hypot(*lead.x[X.V].tolist()) + math.sqrt(sum(lead.cov.diagonal()[E.V].tolist()))
             self.anchor = GnssAnchor(aid.geodetic, aid.t_ns, sigma, speed)

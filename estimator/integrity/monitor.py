@@ -113,13 +113,13 @@ class Monitor:
 
     def _faults(self, tracker: Tracker, t_ns: int) -> list[Fault] | None:
         """None without an estimate, or with one that is not finite."""
-        shown = tracker.shown
+        shown = tracker.alignment.shown
         if shown is None or not shown.lead.sound:
             return None
-        single = not tracker.is_aligned or tracker.without_sensor is not None
-        factor = tracker.variance_factor.lasting
+        single = not tracker.core.is_aligned or tracker.alignment.without_sensor is not None
+        factor = tracker.core.variance_factor.lasting
         covariance = tracker.shown_covariance()[E.P, E.P] if single else factor * shown.lead.cov[E.P, E.P]
-        age_s = (t_ns - tracker.last_absolute_ns) * 1e-9 if tracker.last_absolute_ns >= 0 else math.inf
+        age_s = (t_ns - tracker.core.last_absolute_ns) * 1e-9 if tracker.core.last_absolute_ns >= 0 else math.inf
         for topic in [k for k, p in self._positions.items() if (t_ns - max(p.t_ns, p.fused_ns)) * 1e-9 > IN_USE_S]:
             del self._positions[topic]
         return faults(Snapshot(t_ns, shown, covariance, max(age_s, 0.0), self._positions, single, factor), self._config)

@@ -59,7 +59,7 @@ def test_each_measurement_is_reported_once_and_punctually(hovering: Run) -> None
 
 def test_test_ratio_is_the_distance_by_the_gate_and_sigma_that_of_the_innovation(hovering: Run) -> None:
     fusion = Run(Fusion(FusionConfig())).feed(hover(8.0)).fusion
-    bank = fusion._history.tracker.hypotheses
+    bank = fusion._history.tracker.core.hypotheses
     assert bank is not None
     prior, p_n = bank.lead.cov.copy(), bank.lead.x[X.P].copy()
     fix = pose_fix(EPOCH_NS + 8 * SECOND, (0.3, 0.0, 0.0))
@@ -391,7 +391,7 @@ def test_local_error_of_the_state_is_what_the_covariance_is_of() -> None:
         for m in hover(1.5)
     ]
     run = Run(Fusion(FusionConfig())).feed(fixes)
-    bank = run.fusion._history.tracker.hypotheses
+    bank = run.fusion._history.tracker.core.hypotheses
     assert bank is not None
     about_body = np.diag(bank.lead.cov)[E.THETA]
     assert about_body[1] > 5.0 * about_body[0]  # north is to the left: about body y

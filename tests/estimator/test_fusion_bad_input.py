@@ -204,7 +204,7 @@ def test_a_defect_of_ours_is_reported_and_the_flight_goes_on(monkeypatch: pytest
 def test_a_state_that_is_lost_is_not_published_and_alignment_begins_again(ruin: str) -> None:
     fusion = Fusion(CONFIG)
     run = Run(fusion).feed(hover(4.0))
-    bank = fusion._history.tracker.hypotheses
+    bank = fusion._history.tracker.core.hypotheses
     assert bank is not None
     getattr(bank.lead, ruin)[0] = math.nan
     published = len(run.estimates)

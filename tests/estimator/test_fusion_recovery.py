@@ -97,7 +97,7 @@ def test_work_that_is_late_ends_at_any_rate_of_measurements() -> None:
         rest.step()
         if k == 200 * 3:
             ahead = rest.run.fusion._history
-            assert rest.now_ns - ahead.tracker.t_ns < 3 * SECOND
+            assert rest.now_ns - ahead.tracker.core.t_ns < 3 * SECOND
     rest.flown(4.0)
     assert rest.run.fusion._history._ahead is None
     assert not rest.run.internal_errors()
@@ -164,8 +164,8 @@ def _poisoned(monkeypatch: pytest.MonkeyPatch, poison: PoseFix, act: Callable[[T
 
 
 def _raise(tracker: Tracker) -> None:
-    assert tracker.hypotheses is not None
-    tracker.hypotheses.lead.x[X.P] = 1e9  # what was half done must not stay
+    assert tracker.core.hypotheses is not None
+    tracker.core.hypotheses.lead.x[X.P] = 1e9  # what was half done must not stay
     raise np.linalg.LinAlgError("not positive definite")
 
 
@@ -279,7 +279,7 @@ def test_an_unknown_heading_is_no_violation_but_an_unknown_tilt_is() -> None:
 def test_a_state_out_of_bounds_is_not_published_and_the_estimator_begins_again() -> None:
     fusion = Fusion(CONFIG)
     run = Run(fusion).feed(hover(4.0))
-    bank = fusion._history.tracker.hypotheses
+    bank = fusion._history.tracker.core.hypotheses
     assert bank is not None
     bank.lead.x[X.V] = 0.0, 0.0, -500.0
     counter = run.estimates[-1].reset_counter

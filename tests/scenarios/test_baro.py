@@ -108,5 +108,5 @@ def test_a_filter_that_is_run_again_stands_at_the_time_of_the_tracker() -> None:
     for message in by_arrival([*flight.messages, *readings]):
         fusion.handle(message)
         tracker = fusion._history.tracker
-        if tracker.hypotheses is not None:
-            assert {m.filter.t_ns for m in tracker.hypotheses.members} == {tracker.t_ns}
+        if tracker.core.hypotheses is not None:
+            assert {m.filter.t_ns for m in tracker.core.hypotheses.members} == {tracker.core.t_ns}

@@ -1,11 +1,12 @@
 """From nothing to an aligned filter. May import estimator.filter.relinearise, hypotheses and what is below them."""
 
-from estimator.filter.alignment.alignment import AT_REST, NEVER, NO_POSITION, WRONG_SENSOR, Alignment, Decision
+from estimator.filter.alignment.alignment import AT_REST, NO_POSITION, WRONG_SENSOR, Alignment
 from estimator.filter.alignment.config import FilterConfig, TrackerConfig
+from estimator.filter.alignment.core import NEVER, Core, Decision
 from estimator.filter.alignment.heading import covariance
 from estimator.filter.alignment.initialise import InitialiseConfig, lacks
 
 __all__ = [
-    "AT_REST", "NEVER", "NO_POSITION", "WRONG_SENSOR", "Alignment", "Decision", "FilterConfig", "InitialiseConfig",
+    "AT_REST", "NEVER", "NO_POSITION", "WRONG_SENSOR", "Alignment", "Core", "Decision", "FilterConfig", "InitialiseConfig",
     "TrackerConfig", "covariance", "lacks",
 ]  # fmt: skip

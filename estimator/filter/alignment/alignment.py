@@ -8,38 +8,35 @@ well enough and the stretch so far, run again, confirms the filter.
 import math
 from dataclasses import dataclass
 from dataclasses import replace as replace_in
-from typing import NamedTuple
 
 import numpy as np
 
 from estimator.filter import contradiction
 from estimator.filter.alignment import heading, initialise
-from estimator.filter.alignment.config import TrackerConfig
+from estimator.filter.alignment.core import FEWEST_SAMPLES, NEVER, Core, Decision
 from estimator.filter.alignment.heading import Resting, WithoutSensor
 from estimator.filter.alignment.initialise import Level
 from estimator.filter.conflict import Conflicts
 from estimator.filter.contradiction import NO_CONTRADICTION
 from estimator.filter.eskf import Innovation
-from estimator.filter.hypotheses import Hypotheses
+from estimator.filter.hypotheses import Hypotheses, Hypothesis
 from estimator.filter.imu_buffer import ImuBuffer
-from estimator.filter.relinearise import Stretch, relinearise
-from estimator.filter.variance_factor import LARGEST, LARGEST_AT_FIRST, NO_EXCESS
+from estimator.filter.relinearise import Stretch
+from estimator.filter.variance_factor import LARGEST, LARGEST_AT_FIRST
 from estimator.sources.base.aid import Aid
 from estimator.sources.base.gating import gate
 from estimator.sources.base.machine import Phase
 from estimator.sources.imu.plausibility import Plausibility, stream_plausibility
-from models import imu, so3
+from models import so3
 from models.measurements import Heading, Measurement, Pose, Position, Velocity
 from models.messages import Array, Reason
 from models.state import E, X
 
-NEVER = -(2**62)
 NO_POSITION = "waiting for a position"
 WRONG_SENSOR = "its heading does not agree with the motion: wrong axes or mounting, or iron near it"
 AT_REST = "at rest: the heading shows when the vehicle moves"
 _NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
-_FEWEST_SAMPLES = 5  # of IMU, to level with
-_NO_START = f"waiting for a position with {_FEWEST_SAMPLES} IMU samples or more in the second before it"
+_NO_START = f"waiting for a position with {FEWEST_SAMPLES} IMU samples or more in the second before it"
 _BEFORE_IMU = "before the first IMU sample"
 _STILL_MEMORY_NS = 3_000_000_000  # a levelling at rest holds for so long after the vehicle has moved
 _PROVEN_NS = 900_000_000  # in so long an IMU shows that it is right; each time it was not, three times as long
@@ -49,22 +46,7 @@ _WRONG_NS = 30_000_000_000  # a heading that motion has refuted is not asked for
 _FRESH_NS = 2_000_000_000  # a prior attitude is of now
 _XYZ = 3
 _LARGEST_NOISE = math.radians(30.0)  # a larger innovation of attitude is not the noise of a fix
-_REFUTED = 2  # positions in a row
 _MOVED_SIGMA = 4.0  # positions that differ by more are of a vehicle that moves
-
-
-class Decision(NamedTuple):
-    """What became of a measurement (the part of AidStatus that does not depend on arrival).
-
-    position: the innovation of the position and its sigma, (3,) each, NED m; None where the measurement has none.
-    """
-
-    reason: Reason
-    innovation: tuple[float, ...] = ()
-    innovation_sigma: tuple[float, ...] = ()
-    test_ratio: float = 0.0
-    detail: str = ""
-    position: tuple[tuple[float, ...], tuple[float, ...]] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,17 +59,10 @@ class Still:
 
 
 class Alignment:
-    """The part of a tracker's state that the alignment reads and writes, at t_ns."""
+    """What alone the alignment remembers; the filters that it starts and judges are those of the core."""
 
-    def __init__(self, config: TrackerConfig) -> None:
-        self.config = config
-        self._gap_ns = round(config.coast.gap_s * 1e9)
-        self.t_ns = NEVER
-        self.origin = config.origin
-        self.noise = config.imu  # of the IMU that leads
-        self.constants = imu.constants(self.noise, config.coast, config.origin)
-        self.hypotheses: Hypotheses | None = None
-        self.is_aligned = False
+    def __init__(self, core: Core) -> None:
+        self.core = core
         self.still: Still | None = None
         self.prior: tuple[int, Pose, str] | None = None  # and its topic; "": the course
         self.sensed: tuple[Aid, Heading] | None = None  # the newest heading that was measured, until it is aligned
@@ -96,55 +71,66 @@ class Alignment:
         self.resting: Resting | None = None
         self.waits_since_ns: int | None = None  # for its heading
         self.shows_unaligned = False
-        self.stretch: Stretch | None = None
         self.contradiction = NO_CONTRADICTION
         self.given_up = 0  # how often a filter was
-        self.failed: dict[str, int] = {}  # gates in a row, of sources of positions and their velocities; never changed in place
-        self.variance_factor = NO_EXCESS
         self.begun_by = ""  # the source at whose position the newest filter begins
         self.direction: tuple[float, ...] = ()  # of the newest innovation of an absolute source during the alignment
         self.persisted = False  # it and the one before point the same way
-        self.conflicts = Conflicts()
-        self.absolute: frozenset[str] = frozenset()  # topics that have given positions
         self.plausibility = Plausibility(Phase.STARTING, _NO_START)
-        self.last_absolute_ns = NEVER
+
+    def copy(self, core: Core) -> "Alignment":
+        """An independent one in the same state, of another core; what never changes in place is shared."""
+        other = object.__new__(Alignment)
+        other.__dict__.update(self.__dict__)
+        other.core = core
+        other.resting = self.resting.copy() if self.resting else None
+        other.without_sensor = self.without_sensor.copy() if self.without_sensor else None
+        return other
+
+    def lose(self) -> None:
+        """Too long without an IMU: nothing is left to go on with."""
+        self.core.hypotheses, self.core.stretch, self.core.is_aligned, self.without_sensor = None, None, False, None
+        self.resting, self.waits_since_ns, self.shows_unaligned = None, None, False
 
     @property
     def bank(self) -> Hypotheses | None:
         """The filters there are, aligned or not."""
-        if self.hypotheses is not None or self.resting is None:  # nearly every call
-            return self.hypotheses
+        if self.core.hypotheses is not None or self.resting is None:  # nearly every call
+            return self.core.hypotheses
         return self.resting.bank
 
     @property
-    def is_refuted(self) -> bool:
-        """No hypothesis foresaw the last positions, or a source of positions has failed its gate several times in a row."""
-        return self.contradiction.unforeseen >= _REFUTED or max(self.failed.values(), default=0) >= _REFUTED
+    def members(self) -> list[Hypothesis]:
+        """Every filter there is, those without the sensor of the heading too."""
+        bank, beside = self.bank, self.without_sensor
+        members = bank.members if bank is not None else []
+        return members if beside is None else members + beside.bank.members
 
     @property
     def shown(self) -> Hypotheses | None:
         """The filters to publish from; None: nothing may be published yet."""
-        return self.bank if self.is_aligned or self.shows_unaligned else None
+        return self.bank if self.core.is_aligned or self.shows_unaligned else None
 
-    def _align(self, aid: Aid, z: Measurement, samples: ImuBuffer, gyro_b: Array) -> Decision:
+    def align(self, aid: Aid, z: Measurement, samples: ImuBuffer, gyro_b: Array) -> Decision:
         """Start the filter, or go on finding the heading."""
-        config = self.config.initialise
-        if self.hypotheses is None and not (samples.count and self.t_ns > samples.t_ns[0] - self._gap_ns):
+        core = self.core
+        config = core.config.initialise
+        if core.hypotheses is None and not (samples.count and core.t_ns > samples.t_ns[0] - core.gap_ns):
             return Decision(Reason.ALIGNING, detail=_BEFORE_IMU)
         whole = isinstance(z, Pose) and z.attitude == "full" and aid.absolute
-        if whole or self.hypotheses is None:
-            stretch = self._stretch(samples)
+        if whole or core.hypotheses is None:
+            stretch = core.recent(samples)
             at = None
             if stretch is not None:
                 self.plausibility = stream_plausibility(stretch)
                 if self.plausibility.phase is not Phase.ACTIVE:
                     return Decision(Reason.ALIGNING, detail=self.plausibility.detail)
-                at = initialise.level(self.t_ns, stretch, config, may_rest=not (aid.absolute and self._has_moved(z)))
+                at = initialise.level(core.t_ns, stretch, config, may_rest=not (aid.absolute and self._has_moved(z)))
             if whole and isinstance(z, Pose):
-                if self.hypotheses is None or len(self.hypotheses.members) > 1:
+                if core.hypotheses is None or len(core.hypotheses.members) > 1:
                     self.begun_by = aid.topic
-                    self.hypotheses = initialise.start_from_pose(self.t_ns, z, self.constants, config)
-                    self.stretch = Stretch.of(self.hypotheses.lead)
+                    core.hypotheses = initialise.start_from_pose(core.t_ns, z, core.constants, config)
+                    core.stretch = Stretch.of(core.hypotheses.lead)
                     return Decision(Reason.ALIGNING)
             elif not aid.absolute or not isinstance(z, Pose | Position):
                 return Decision(Reason.ALIGNING, detail=NO_POSITION)
@@ -159,80 +145,83 @@ class Alignment:
         self._go_on(aid, z, samples, gyro_b)
         return Decision(Reason.ALIGNING)
 
-    def _take_prior(self, aid: Aid, z: Measurement) -> Decision:
+    def take_prior(self, aid: Aid, z: Measurement) -> Decision:
         """A prior waits for the position to begin with. Its errors repeat, so once begun it is no news."""
-        if self.hypotheses is not None and not (self._seeks_heading or self._has_blurred):
+        if self.core.hypotheses is not None and not (self._seeks_heading or self._has_blurred):
             return Decision(Reason.THINNED, detail="for the alignment alone")
         if aid.t_ns < self.wrong_until_ns.get(aid.topic, NEVER):
             return Decision(Reason.STOPPED, detail=WRONG_SENSOR)
         self.prior = (aid.t_ns, z, aid.topic) if isinstance(z, Pose) else None
         return Decision(Reason.ALIGNING, detail=NO_POSITION)
 
-    def _note_course(self, z: Velocity, samples: ImuBuffer) -> None:
+    def note_course(self, z: Velocity, samples: ImuBuffer) -> None:
         """The course is a prior where nobody gives a better one."""
-        stretch = self._stretch(samples) if self.config.initialise.course_sigma_deg else None
-        if stretch is None or (self.prior is not None and self.t_ns - self.prior[0] <= _FRESH_NS):
+        core = self.core
+        stretch = core.recent(samples) if core.config.initialise.course_sigma_deg else None
+        if stretch is None or (self.prior is not None and core.t_ns - self.prior[0] <= _FRESH_NS):
             return
-        at = initialise.level(self.t_ns, stretch, self.config.initialise, may_rest=False)
-        course = heading.from_course(z, at, self.config.initialise)
-        self.prior = (self.t_ns, course, "") if course else None
+        at = initialise.level(core.t_ns, stretch, core.config.initialise, may_rest=False)
+        course = heading.from_course(z, at, core.config.initialise)
+        self.prior = (core.t_ns, course, "") if course else None
 
-    def _wait_for_heading(self, aid: Aid, z: Measurement, gyro_b: Array) -> None:
+    def wait_for_heading(self, aid: Aid, z: Measurement, gyro_b: Array) -> None:
         """Keep what may be published without a heading: the bank that seeks it, or at rest one that does not."""
-        if self.is_aligned or self.hypotheses is not None or self.still is None:
+        core = self.core
+        if core.is_aligned or core.hypotheses is not None or self.still is None:
             self.resting = None
         elif self.resting is not None and not isinstance(z, Heading):
             self.resting.take(aid, z, gyro_b)
             self.resting = None if self.resting.is_refuted else self.resting
-        elif self.resting is None and self.still.level.t_ns == self.t_ns:
+        elif self.resting is None and self.still.level.t_ns == core.t_ns:
             begun = initialise.start_from_position(
-                self.t_ns, self.still.z, self.still.level, self.constants, self.config.initialise
+                core.t_ns, self.still.z, self.still.level, core.constants, core.config.initialise
             )
             self.resting = Resting(begun)
-        if self.is_aligned or self.bank is None:
+        if core.is_aligned or self.bank is None:
             self.waits_since_ns, self.shows_unaligned = None, False
             return
         if self.waits_since_ns is None:
-            self.waits_since_ns = self.t_ns
-        config = self.config.initialise
-        has_waited = (self.t_ns - self.waits_since_ns) * 1e-9 >= config.publish_after_s
+            self.waits_since_ns = core.t_ns
+        config = core.config.initialise
+        has_waited = (core.t_ns - self.waits_since_ns) * 1e-9 >= config.publish_after_s
         self.shows_unaligned |= has_waited and self._is_proven() and initialise.lacks_attitude_alone(self.bank, config)
         if self.resting is not None and aid.absolute:
-            self.last_absolute_ns = self.t_ns
+            core.last_absolute_ns = core.t_ns
 
     def _go_on(self, aid: Aid, z: Measurement, samples: ImuBuffer, gyro_b: Array) -> None:
         """Aligned when enough is known, and the stretch, run again, confirms the filter."""
-        assert self.hypotheses is not None
-        self.hypotheses.scale(self.variance_factor.value)
-        seen = initialise.weigh(self.hypotheses, aid, z, gyro_b)
+        core = self.core
+        assert core.hypotheses is not None
+        core.hypotheses.scale(core.variance_factor.value)
+        seen = initialise.weigh(core.hypotheses, aid, z, gyro_b)
         limit = gate(aid.rules.gate_probability, len(seen.nu))
-        foreseen, follows = seen.distance2 * self.variance_factor.value <= limit, False
+        foreseen, follows = seen.distance2 * core.variance_factor.value <= limit, False
         if aid.absolute:
             before, self.direction = self.direction, contradiction.direction(seen.nu, seen.s)
             persists = contradiction.persists(before, self.direction)
             lasts, self.persisted = persists and (self.persisted or _contradicts_attitude(z, seen)), persists
             foreseen |= seen.distance2 <= limit and not persists
-            if len(self.hypotheses.members) == 1:
+            if len(core.hypotheses.members) == 1:
                 follows = self._follows(aid, seen, limit, lasts=lasts)
-                self._note_variance(aid, seen, LARGEST if lasts else LARGEST_AT_FIRST)
-            disagrees = seen.distance2 * self.variance_factor.value > limit
+                core.note_variance(aid, seen, LARGEST if lasts else LARGEST_AT_FIRST)
+            disagrees = seen.distance2 * core.variance_factor.value > limit
             if persists or not disagrees:
-                self.conflicts = self.conflicts.compared(aid, z, self.hypotheses.lead.x[X.P], disagrees=disagrees)
+                core.conflicts = core.conflicts.compared(aid, z, core.hypotheses.lead.x[X.P], disagrees=disagrees)
         self._note_contradiction(aid, z, foreseen=foreseen)
-        if self.hypotheses is None:
+        if core.hypotheses is None:
             return
-        before_it = self.stretch
-        if self.stretch is not None and not self._contradicts_start(aid):
-            self.stretch = self.stretch.also(aid, z, gyro_b, follows=follows)
+        before_it = core.stretch
+        if core.stretch is not None and not self._contradicts_start(aid):
+            core.stretch = core.stretch.also(aid, z, gyro_b, follows=follows)
         known = self._is_proven() and self._is_known()
         if known:
-            del self.hypotheses.members[1:]
-        if self.stretch is None or self.stretch.is_long(self.t_ns):  # the heading took too long to show
-            self.stretch = Stretch.of(self.hypotheses.lead) if known else None
-            self.is_aligned = known
-        elif len(self.hypotheses.members) == 1 and self.stretch is not before_it and self.stretch.has_grown:  # a run ends now
-            confirmed = self._relinearise(self.stretch, samples).is_confirmed
-            self.is_aligned = known and confirmed and self._is_known()
+            del core.hypotheses.members[1:]
+        if core.stretch is None or core.stretch.is_long(core.t_ns):  # the heading took too long to show
+            core.stretch = Stretch.of(core.hypotheses.lead) if known else None
+            core.is_aligned = known
+        elif len(core.hypotheses.members) == 1 and core.stretch is not before_it and core.stretch.has_grown:  # a run ends now
+            confirmed = core.relinearise(core.stretch, samples).is_confirmed
+            core.is_aligned = known and confirmed and self._is_known()
 
     def _follows(self, aid: Aid, seen: Innovation, limit: float, *, lasts: bool) -> bool:
         """Fuse what the only filter has not foreseen, after another such one, for without fixes it reckons ever farther off.
@@ -240,100 +229,88 @@ class Alignment:
         Once, and then while no three innovations in a row point the same way, two where the attitude is off by 30 degrees;
         not after a filter was given up: an IMU that is wrong is not followed.
         """
-        assert self.hypotheses is not None
-        is_alone = self.absolute <= {aid.topic}  # else the two may be in conflict
-        has_followed = self.stretch is not None and self.stretch.has_followed
+        core = self.core
+        assert core.hypotheses is not None
+        is_alone = core.absolute <= {aid.topic}  # else the two may be in conflict
+        has_followed = core.stretch is not None and core.stretch.has_followed
         if self.given_up or not is_alone or not self.contradiction.unforeseen or (lasts and has_followed):
             return False
         if seen.distance2 > limit and seen.log_likelihood <= aid.log_false:  # what weigh() has not fused
-            self.hypotheses.lead.update(seen)
+            core.hypotheses.lead.update(seen)
         return True
 
     def _note_contradiction(self, aid: Aid, z: Measurement, *, foreseen: bool) -> None:
         """A position was foreseen by some filter or by none; the alignment begins again where the IMU turns out to be wrong."""
         if not aid.absolute:
             return
-        own_too = aid.topic == self.begun_by and self.conflicts.apart
+        own_too = aid.topic == self.begun_by and self.core.conflicts.apart
         if not foreseen and own_too and self.contradiction.is_late(aid.t_ns):  # the filter began at a false position
-            self._begin_again()
+            self.begin_again()
             return
         if not foreseen and self.contradiction.unforeseen and self._contradicts_start(aid):
             return  # the source that it began with has the next word, and nothing is said of the IMU
         self.contradiction = NO_CONTRADICTION if foreseen else self.contradiction.also(aid.t_ns, z)
         if self.contradiction.is_shown:
-            self._begin_again()
+            self.begin_again()
             self.given_up += 1
 
     def _contradicts_start(self, aid: Aid) -> bool:
         """A source disagrees for long with the other one, at whose position the filter began."""
-        return aid.topic != self.begun_by and aid.topic in self.conflicts.apart
+        return aid.topic != self.begun_by and aid.topic in self.core.conflicts.apart
 
-    def _begin_again(self) -> None:
+    def begin_again(self) -> None:
         """What there is rests on readings that are wrong."""
-        self.hypotheses, self.stretch, self.still, self.is_aligned, self.without_sensor = None, None, None, False, None
-        self.contradiction, self.conflicts = NO_CONTRADICTION, Conflicts()
-
-    def _note_variance(self, aid: Aid, seen: Innovation, largest: float | None = None) -> None:
-        """One more innovation of an absolute source, of the leading filter."""
-        assert self.hypotheses is not None
-        distance2 = seen.distance2 * self.variance_factor.value
-        self.variance_factor = self.variance_factor.also(aid.topic, aid.t_ns, distance2, len(seen.nu), largest)
-        self.hypotheses.scale(self.variance_factor.value, aid.topic)
+        core = self.core
+        core.hypotheses, core.stretch, self.still, core.is_aligned, self.without_sensor = None, None, None, False, None
+        self.contradiction, core.conflicts = NO_CONTRADICTION, Conflicts()
 
     def _is_known(self) -> bool:
         """Attitude and velocity are known well enough."""
-        assert self.hypotheses is not None
-        return initialise.aligned(self.hypotheses, self.config.initialise, sensed=self._senses_heading)
+        core = self.core
+        assert core.hypotheses is not None
+        return initialise.aligned(core.hypotheses, core.config.initialise, sensed=self._senses_heading)
 
     def _is_proven(self) -> bool:
         """The newest position was foreseen, by a filter that has gone on for a while."""
-        since_ns = self.stretch.t_ns if self.stretch is not None else NEVER
-        return not self.contradiction.unforeseen and self.t_ns - since_ns >= _PROVEN_NS * 3 ** min(self.given_up, _THRICE_AT_MOST)
-
-    def _relinearise(self, stretch: Stretch, samples: ImuBuffer) -> Stretch:
-        """The leading filter, linearised about what is known now, goes on; the stretch with the run noted, where it succeeded."""
-        assert self.hypotheses is not None
-        try:
-            result = relinearise(stretch, self.hypotheses.lead, samples)
-        except np.linalg.LinAlgError:  # a covariance is singular to rounding: no better than not to converge
-            result = None
-        if result is not None:
-            self.hypotheses.members[0].filter, stretch = result
-        self.stretch = stretch
-        return stretch
+        core = self.core
+        since_ns = core.stretch.t_ns if core.stretch is not None else NEVER
+        return not self.contradiction.unforeseen and core.t_ns - since_ns >= _PROVEN_NS * 3 ** min(self.given_up, _THRICE_AT_MOST)
 
     def _find_heading(self, aid: Aid, z: Position | Pose, at: Level, samples: ImuBuffer, gyro_b: Array) -> Decision:
         """Wait while the vehicle rests; start the bank of headings, from the last rest if it was just now, when it moves."""
-        config = self.config.initialise
+        core = self.core
+        config = core.config.initialise
         if self._start_from_prior(z, at, samples) or self._start_from_sensed(z, at, samples):
             return Decision(Reason.ALIGNING)
         if at.still:
             self.still = Still(at, z, self.still.since if self.still else z)
             return Decision(Reason.ALIGNING, detail=AT_REST)
-        if self.still is None or self.t_ns - self.still.level.t_ns > _STILL_MEMORY_NS:
-            self.hypotheses, self.stretch = self._all_headings(z, at)
+        if self.still is None or core.t_ns - self.still.level.t_ns > _STILL_MEMORY_NS:
+            core.hypotheses, core.stretch = self._all_headings(z, at)
             return Decision(Reason.ALIGNING)
         last = self.still
-        self.hypotheses = initialise.start_from_position(last.level.t_ns, last.z, last.level, self.constants, config)
-        self.stretch = Stretch.of(initialise.heading_unknown(last.level.t_ns, last.z, last.level, self.constants, config))
+        core.hypotheses = initialise.start_from_position(last.level.t_ns, last.z, last.level, core.constants, config)
+        core.stretch = Stretch.of(initialise.heading_unknown(last.level.t_ns, last.z, last.level, core.constants, config))
         index = samples.first_after(last.level.t_ns)
-        for member in self.hypotheses.members:
-            member.filter.propagate(samples, index, self.t_ns)
+        for member in core.hypotheses.members:
+            member.filter.propagate(samples, index, core.t_ns)
         self._go_on(aid, z, samples, gyro_b)
         return Decision(Reason.ALIGNING)
 
     @property
     def _seeks_heading(self) -> bool:
         """Several headings are left, none decided."""
-        return not self.is_aligned and self.hypotheses is not None and len(self.hypotheses.members) > 1
+        core = self.core
+        return not core.is_aligned and core.hypotheses is not None and len(core.hypotheses.members) > 1
 
     @property
     def _has_blurred(self) -> bool:
         """One filter is left, and before it was aligned its attitude has become too uncertain, as in a gap of the IMU at rest."""
-        if self.is_aligned or self.hypotheses is None or len(self.hypotheses.members) > 1:
+        core = self.core
+        if core.is_aligned or core.hypotheses is None or len(core.hypotheses.members) > 1:
             return False
-        attitude = float(self.hypotheses.lead.cov.diagonal()[E.THETA].max())
-        return attitude > math.radians(self.config.initialise.heading_deg) ** 2
+        attitude = float(core.hypotheses.lead.cov.diagonal()[E.THETA].max())
+        return attitude > math.radians(core.config.initialise.heading_deg) ** 2
 
     @property
     def _may_begin_again(self) -> bool:
@@ -342,93 +319,100 @@ class Alignment:
 
     def _end_search(self, z: Position | Pose, samples: ImuBuffer) -> bool:
         """Whether a prior that came during the search took its place."""
-        stretch = self._stretch(samples)
+        core = self.core
+        stretch = core.recent(samples)
         return stretch is not None and self._start_from_prior(
-            z, initialise.level(self.t_ns, stretch, self.config.initialise, may_rest=False), samples
+            z, initialise.level(core.t_ns, stretch, core.config.initialise, may_rest=False), samples
         )
 
     def _start_from_prior(self, z: Position | Pose, at: Level, samples: ImuBuffer) -> bool:
         """Whether there is an attitude to begin with: fresh, not against gravity, and none that a search has ruled out."""
-        if self.prior is None or self.t_ns - self.prior[0] > _FRESH_NS:
+        core = self.core
+        if self.prior is None or core.t_ns - self.prior[0] > _FRESH_NS:
             return False
         since_ns, given, topic = self.prior
-        prior = Pose(given.z_n, samples.turned(given.q_nb_wxyz, since_ns, self.t_ns), given.noise, given.rows)
-        if self.hypotheses is not None and not initialise.agrees(self.hypotheses, prior):
+        prior = Pose(given.z_n, samples.turned(given.q_nb_wxyz, since_ns, core.t_ns), given.noise, given.rows)
+        if core.hypotheses is not None and not initialise.agrees(core.hypotheses, prior):
             return False
-        begun = initialise.start_from_attitude(self.t_ns, z, at, prior, self.constants, self.config.initialise)
+        begun = initialise.start_from_attitude(core.t_ns, z, at, prior, core.constants, core.config.initialise)
         if begun is not None:
-            self.hypotheses, self.stretch = begun, Stretch.of(begun.lead)
+            core.hypotheses, core.stretch = begun, Stretch.of(begun.lead)
             if at.still and topic:  # nothing has shown yet whether its heading is right
-                self.without_sensor = WithoutSensor(*self._all_headings(z, at), topic, self.t_ns, z)
+                self.without_sensor = WithoutSensor(*self._all_headings(z, at), topic, core.t_ns, z)
         return begun is not None
 
     def _start_from_sensed(self, z: Position | Pose, at: Level, samples: ImuBuffer) -> bool:
         """Whether it began at rest with the heading that is measured now; in motion, that weighs the headings of the bank."""
+        core = self.core
         if not at.still or not self._senses_heading or self.sensed is None:
             return False
         aid, seen = self.sensed
-        turn = so3.matrix(samples.turned(_NO_TURN, aid.t_ns, self.t_ns))
+        turn = so3.matrix(samples.turned(_NO_TURN, aid.t_ns, core.t_ns))
         now = replace_in(seen, direction_b=turn.T @ seen.direction_b)
-        config = self.config.initialise
-        begun = initialise.start_from_heading(self.t_ns, z, at, aid, now, self.constants, config)
+        config = core.config.initialise
+        begun = initialise.start_from_heading(core.t_ns, z, at, aid, now, core.constants, config)
         if begun is not None:
-            self.hypotheses, self.stretch = begun, Stretch.of(begun.lead)
-            self.without_sensor = WithoutSensor(*self._all_headings(z, at), aid.topic, self.t_ns, z)
+            core.hypotheses, core.stretch = begun, Stretch.of(begun.lead)
+            self.without_sensor = WithoutSensor(*self._all_headings(z, at), aid.topic, core.t_ns, z)
         return begun is not None
 
-    def _check_sensor(self, aid: Aid, z: Measurement, samples: ImuBuffer, gyro_b: Array) -> None:
+    def check_sensor(self, aid: Aid, z: Measurement, samples: ImuBuffer, gyro_b: Array) -> None:
         """Go on without the sensor that measures the heading, too, until motion has shown it to be right or wrong."""
-        beside, config = self.without_sensor, self.config.initialise
-        if self.hypotheses is None:
+        core = self.core
+        beside, config = self.without_sensor, core.config.initialise
+        if core.hypotheses is None:
             self.without_sensor = None
         elif isinstance(z, Heading):
-            if beside is None and not self.is_aligned:
-                self.without_sensor = WithoutSensor(self.hypotheses.copy(), self.stretch, aid.topic, self.t_ns)
+            if beside is None and not core.is_aligned:
+                self.without_sensor = WithoutSensor(core.hypotheses.copy(), core.stretch, aid.topic, core.t_ns)
         elif beside is not None and isinstance(z, Position | Pose | Velocity):
-            beside.take(aid, z, gyro_b, self.hypotheses, at_rest=self._rests(beside, z, samples))
-            known = self.is_aligned and initialise.aligned(beside.bank, config)
-            if beside.is_shown or (known and beside.disagrees(self.hypotheses.lead)):
-                self.hypotheses, self.is_aligned, self.shows_unaligned = beside.bank, False, self.shown is not None
-                self.stretch, self.sensed, self.prior, self.without_sensor = beside.stretch, None, None, None
-                self.wrong_until_ns = self.wrong_until_ns | {beside.topic: self.t_ns + _WRONG_NS}
+            beside.take(aid, z, gyro_b, core.hypotheses, at_rest=self._rests(beside, z, samples))
+            known = core.is_aligned and initialise.aligned(beside.bank, config)
+            if beside.is_shown or (known and beside.disagrees(core.hypotheses.lead)):
+                core.hypotheses, core.is_aligned, self.shows_unaligned = beside.bank, False, self.shown is not None
+                core.stretch, self.sensed, self.prior, self.without_sensor = beside.stretch, None, None, None
+                self.wrong_until_ns = self.wrong_until_ns | {beside.topic: core.t_ns + _WRONG_NS}
             elif known and beside.knows_heading:
                 self.without_sensor = None
-            elif aid.absolute and isinstance(z, Position | Pose) and self.t_ns - beside.began_ns > _BESIDE_NS:
+            elif aid.absolute and isinstance(z, Position | Pose) and core.t_ns - beside.began_ns > _BESIDE_NS:
                 self._begin_beside(beside, z, samples)
 
     def _rests(self, beside: WithoutSensor, z: Measurement, samples: ImuBuffer) -> bool:
         """Whether neither the IMU nor the positions show that the vehicle moves."""
+        core = self.core
         if beside.since is None:
             return False
         if isinstance(z, Position | Pose) and _differ(z, beside.since):
             beside.since = None
             return False
-        stretch = self._stretch(samples)
-        return stretch is not None and initialise.level(self.t_ns, stretch, self.config.initialise).still
+        stretch = core.recent(samples)
+        return stretch is not None and initialise.level(core.t_ns, stretch, core.config.initialise).still
 
     def _begin_beside(self, beside: WithoutSensor, z: Position | Pose, samples: ImuBuffer) -> None:
         """At rest the headings begin anew, before they blur."""
-        beside.began_ns, stretch = self.t_ns, self._stretch(samples)
+        core = self.core
+        beside.began_ns, stretch = core.t_ns, core.recent(samples)
         if stretch is None:
             return
-        at = initialise.level(self.t_ns, stretch, self.config.initialise)
+        at = initialise.level(core.t_ns, stretch, core.config.initialise)
         if at.still and beside.since is not None:
             beside.bank, beside.stretch = self._all_headings(z, at)
-            if self.hypotheses is not None:
-                for member in self.hypotheses.members:
-                    heading.level_again(member.filter, at, self.config.initialise)
-                self.stretch = Stretch.of(self.hypotheses.lead)
+            if core.hypotheses is not None:
+                for member in core.hypotheses.members:
+                    heading.level_again(member.filter, at, core.config.initialise)
+                core.stretch = Stretch.of(core.hypotheses.lead)
         beside.since = z if at.still else None
 
     def _all_headings(self, z: Position | Pose, at: Level) -> tuple[Hypotheses, Stretch]:
         """The bank of headings at a position fix, and the stretch that will confirm one of them."""
-        start = self.t_ns, z, at, self.constants, self.config.initialise
+        core = self.core
+        start = core.t_ns, z, at, core.constants, core.config.initialise
         return initialise.start_from_position(*start), Stretch.of(initialise.heading_unknown(*start))
 
     @property
     def _senses_heading(self) -> bool:
         """A magnetometer or two antennas gave a heading just now."""
-        return self.sensed is not None and self.t_ns - self.sensed[0].t_ns <= _FRESH_NS
+        return self.sensed is not None and self.core.t_ns - self.sensed[0].t_ns <= _FRESH_NS
 
     def _has_moved(self, z: Measurement) -> bool:
         """Whether a position fix is elsewhere than the first one of what was taken for rest; then it was none."""
@@ -438,15 +422,6 @@ class Alignment:
             return False
         self.still = None
         return True
-
-    def _stretch(self, samples: ImuBuffer) -> Array | None:
-        """The last `level_s` of IMU samples up to now (k, 6); None where there is no such stretch yet."""
-        span_ns = int(self.config.initialise.level_s * 1e9)
-        end = samples.first_after(self.t_ns)
-        begin = int(np.searchsorted(samples.t_ns[:end], self.t_ns - span_ns))
-        if end - begin < _FEWEST_SAMPLES or samples.t_ns[end - 1] - samples.t_ns[begin] < 0.5 * span_ns:
-            return None
-        return samples.u[begin:end]
 
 
 def _contradicts_attitude(z: Measurement, seen: Innovation) -> bool:

@@ -384,7 +384,7 @@ def test_no_output_waits_for_what_came_late(monkeypatch: pytest.MonkeyPatch) -> 
         done.append(0)
         published.append(history.advance(newest))
         assert done[-1] == 0
-        assert published[-1].t_ns == newest
+        assert published[-1].core.t_ns == newest
         history.catch_up()
     assert done == [1, 1, 1, 1, 1, 0, 0]
     assert [tracker is before for tracker in published] == [True] * 5 + [False] * 2
@@ -403,7 +403,7 @@ def test_what_keeps_coming_late_is_worked_in_and_not_begun_anew_for_ever() -> No
         history.catch_up()
     waiting = [e.aid.t_ns for e in history._entries if e.decision is None]
     assert 0 < len(waiting) < 10
-    assert tracker.last_absolute_ns > newest - 0.25 * SECOND
+    assert tracker.core.last_absolute_ns > newest - 0.25 * SECOND
 
 
 def test_what_comes_behind_an_aid_does_not_redo_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -449,12 +449,12 @@ def test_memory_is_bounded_over_a_long_flight() -> None:
 
 def test_checkpoints_are_copies_that_later_work_does_not_touch() -> None:
     history = _flown(6.0, 4.0)
-    kept = [(c.t_ns, c.hypotheses.lead.x.copy()) for c in history._checkpoints if c.hypotheses]
+    kept = [(c.core.t_ns, c.core.hypotheses.lead.x.copy()) for c in history._checkpoints if c.core.hypotheses]
     for k in range(400):
         sample = _sample(EPOCH_NS + 4 * SECOND + (k + 1) * SECOND // 100)
         history.insert_sample(sample)
         history.advance(sample.t_ns)
-    again = {c.t_ns: c.hypotheses.lead.x for c in history._checkpoints if c.hypotheses}
+    again = {c.core.t_ns: c.core.hypotheses.lead.x for c in history._checkpoints if c.core.hypotheses}
     assert len(kept) >= 5
     for t_ns, x in kept:
         if t_ns in again:

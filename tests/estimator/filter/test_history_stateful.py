@@ -127,14 +127,14 @@ class Flight(RuleBasedStateMachine):
         h = self.history
         assert len(h._checkpoints) == len(h._checkpoint_times) >= 1
         assert all(a < b for a, b in pairwise(h._checkpoint_times))
-        assert [c.t_ns for c in h._checkpoints] == h._checkpoint_times
+        assert [c.core.t_ns for c in h._checkpoints] == h._checkpoint_times
         assert h._redo_from_ns is None or h._checkpoint_times[0] < h._redo_from_ns, "nothing to go back to"
         assert len(h._orders) == len(h._entries)
         assert all(a < b for a, b in pairwise(h._orders))
         assert [e.aid.order for e in h._entries] == h._orders
         assert 0 <= h._next <= len(h._orders)
-        assert all(order[0] <= h.tracker.t_ns for order in h._orders[: h._next])
-        since_ns = h.tracker.t_ns if h._redo_from_ns is None else min(h._redo_from_ns, h.tracker.t_ns)
+        assert all(order[0] <= h.tracker.core.t_ns for order in h._orders[: h._next])
+        since_ns = h.tracker.core.t_ns if h._redo_from_ns is None else min(h._redo_from_ns, h.tracker.core.t_ns)
         assert all(order[0] >= since_ns for order in h._orders[h._next :])  # a slice may end between two of one stamp
         assert not any(e.failed for e in h._entries)
 
@@ -155,11 +155,11 @@ class Flight(RuleBasedStateMachine):
             punctual.advance(sample.t_ns)
         assert not aids
         ended, expected = self.history.tracker, punctual.tracker
-        assert ended.t_ns == expected.t_ns
-        assert (ended.hypotheses is None) == (expected.hypotheses is None)
-        if ended.hypotheses is not None and expected.hypotheses is not None:
-            assert ended.hypotheses.lead.x.tobytes() == expected.hypotheses.lead.x.tobytes()
-            assert ended.hypotheses.lead.cov.tobytes() == expected.hypotheses.lead.cov.tobytes()
+        assert ended.core.t_ns == expected.core.t_ns
+        assert (ended.core.hypotheses is None) == (expected.core.hypotheses is None)
+        if ended.core.hypotheses is not None and expected.core.hypotheses is not None:
+            assert ended.core.hypotheses.lead.x.tobytes() == expected.core.hypotheses.lead.x.tobytes()
+            assert ended.core.hypotheses.lead.cov.tobytes() == expected.core.hypotheses.lead.cov.tobytes()
 
     def _memory_is_bounded(self) -> None:
         """By what lies within the span and the alignment, and one checkpoint before it."""

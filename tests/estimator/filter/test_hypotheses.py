@@ -123,10 +123,10 @@ def test_while_it_is_open_which_fixes_are_true_the_covariance_covers_both() -> N
     run = _fly(46.0, lambda t: None if 15.0 <= t < 45.0 else LIE)
     end = run.estimates[-1]
     sigma = np.sqrt(np.diag(end.covariance)[E.P])
-    assert run.fusion._history.tracker.hypotheses is not None
-    lead = run.fusion._history.tracker.hypotheses.lead
+    assert run.fusion._history.tracker.core.hypotheses is not None
+    lead = run.fusion._history.tracker.core.hypotheses.lead
     assert np.all(np.sqrt(np.diag(lead.cov)[E.P]) <= sigma)
-    assert len(run.fusion._history.tracker.hypotheses.members) > 1
+    assert len(run.fusion._history.tracker.core.hypotheses.members) > 1
     assert not np.array_equal(lead.cov[: E.SIZE, : E.SIZE], end.covariance)
 
 

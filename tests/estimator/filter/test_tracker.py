@@ -39,7 +39,7 @@ def _aligned(samples: ImuBuffer, until_s: float = 4.0) -> Tracker:
     tracker = _tracker()
     for k in range(1, round(2 * until_s) + 1):
         _take(tracker, aid_of(pose_fix(EPOCH_NS + k * SECOND // 2)), samples)
-    assert tracker.is_aligned
+    assert tracker.core.is_aligned
     return tracker
 
 
@@ -60,16 +60,16 @@ def _velocity(t_s: float) -> Aid:
 def test_a_copy_goes_its_own_way() -> None:
     samples = _samples(10.0)
     tracker = _aligned(samples)
-    assert tracker.hypotheses is not None
-    x, t_ns, sources = tracker.hypotheses.lead.x.copy(), tracker.t_ns, dict(tracker.sources)
+    assert tracker.core.hypotheses is not None
+    x, t_ns, sources = tracker.core.hypotheses.lead.x.copy(), tracker.core.t_ns, dict(tracker.sources)
     copy = tracker.copy()
     for k in range(9, 20):
         _take(copy, aid_of(pose_fix(EPOCH_NS + k * SECOND // 2, (0.3, 0.0, 0.0))), samples)
     _take(copy, aid_of(pose_fix(EPOCH_NS + 10 * SECOND, (30.0, 0.0, 0.0))), samples)
-    np.testing.assert_array_equal(tracker.hypotheses.lead.x, x)
-    assert (tracker.t_ns, tracker.sources, len(tracker.hypotheses.members)) == (t_ns, sources, 1)
-    assert copy.hypotheses is not None
-    assert copy.hypotheses.lead.x[X.P][0] > 0.1
+    np.testing.assert_array_equal(tracker.core.hypotheses.lead.x, x)
+    assert (tracker.core.t_ns, tracker.sources, len(tracker.core.hypotheses.members)) == (t_ns, sources, 1)
+    assert copy.core.hypotheses is not None
+    assert copy.core.hypotheses.lead.x[X.P][0] > 0.1
 
 
 def test_a_velocity_between_samples_is_seen_with_the_rate_of_its_own_time() -> None:
@@ -91,17 +91,17 @@ def test_a_velocity_between_samples_is_seen_with_the_rate_of_its_own_time() -> N
 
 def test_equal_measurements_make_equal_trackers() -> None:
     one, two = _aligned(_samples(5.0)), _aligned(_samples(5.0))
-    assert one.hypotheses is not None
-    assert two.hypotheses is not None
-    np.testing.assert_array_equal(one.hypotheses.lead.x, two.hypotheses.lead.x)
-    np.testing.assert_array_equal(one.hypotheses.lead.cov, two.hypotheses.lead.cov)
+    assert one.core.hypotheses is not None
+    assert two.core.hypotheses is not None
+    np.testing.assert_array_equal(one.core.hypotheses.lead.x, two.core.hypotheses.lead.x)
+    np.testing.assert_array_equal(one.core.hypotheses.lead.cov, two.core.hypotheses.lead.cov)
 
 
 def test_the_mode_reports_what_the_estimate_rests_on() -> None:
     samples = _samples(30.0)
     fresh, tracker = _tracker(), _aligned(samples)
     assert fresh.mode(samples.newest_ns, EPOCH_NS) is Mode.STARTING
-    at = tracker.last_absolute_ns
+    at = tracker.core.last_absolute_ns
     assert tracker.mode(at, at) is Mode.AIDED
     assert tracker.mode(at + 3 * SECOND, at + 3 * SECOND) is Mode.AIDED
     assert tracker.mode(at + 3 * SECOND + 1, at + 3 * SECOND + 1) is Mode.DEAD_RECKONING
@@ -113,20 +113,20 @@ def test_while_it_waits_at_rest_the_mode_is_aligning() -> None:
     samples, tracker = _samples(5.0), _tracker(HOME)
     assert _take(tracker, _gnss(3.0), samples) is Reason.ALIGNING
     assert tracker.mode(samples.newest_ns, samples.newest_ns) is Mode.ALIGNING
-    assert tracker.hypotheses is None
+    assert tracker.core.hypotheses is None
 
 
 def test_a_stream_without_gravity_is_not_aligned() -> None:
     samples, tracker = _samples(5.0, force=0.0), _tracker()
     assert _take(tracker, aid_of(pose_fix(EPOCH_NS + 3 * SECOND)), samples) is Reason.ALIGNING
-    assert tracker.hypotheses is None
+    assert tracker.core.hypotheses is None
     assert tracker.mode(samples.newest_ns, samples.newest_ns) is Mode.STARTING
 
 
 def test_the_first_gnss_fix_is_the_origin_where_none_is_given() -> None:
     samples, tracker = _samples(5.0), _tracker()
     _take(tracker, _gnss(2.0), samples)
-    assert tracker.origin == Origin(47.0, 8.0, 500.0)
+    assert tracker.core.origin == Origin(47.0, 8.0, 500.0)
     assert tracker.place == (47.0, 8.0, 500.0)
 
 
@@ -134,7 +134,7 @@ def test_but_not_once_fixes_on_a_local_map_have_been_taken() -> None:
     samples = _samples(6.0)
     tracker = _aligned(samples)
     assert _take(tracker, _gnss(4.5), samples) is Reason.NO_ORIGIN
-    assert tracker.origin is None
+    assert tracker.core.origin is None
 
 
 def test_velocity_alone_starts_nothing() -> None:
@@ -149,12 +149,12 @@ def test_propagation_carries_every_hypothesis() -> None:
     samples = _samples(10.0)
     tracker = _aligned(samples)
     _take(tracker, aid_of(pose_fix(EPOCH_NS + 5 * SECOND, (20.0, 0.0, 0.0))), samples)
-    assert tracker.hypotheses is not None
-    assert len(tracker.hypotheses.members) == 2
-    before = [float(np.trace(m.filter.cov[E.P, E.P])) for m in tracker.hypotheses.members]
+    assert tracker.core.hypotheses is not None
+    assert len(tracker.core.hypotheses.members) == 2
+    before = [float(np.trace(m.filter.cov[E.P, E.P])) for m in tracker.core.hypotheses.members]
     tracker.propagate(samples, EPOCH_NS + 8 * SECOND)
-    assert [m.filter.t_ns for m in tracker.hypotheses.members] == [EPOCH_NS + 8 * SECOND] * 2
-    after = [float(np.trace(m.filter.cov[E.P, E.P])) for m in tracker.hypotheses.members]
+    assert [m.filter.t_ns for m in tracker.core.hypotheses.members] == [EPOCH_NS + 8 * SECOND] * 2
+    after = [float(np.trace(m.filter.cov[E.P, E.P])) for m in tracker.core.hypotheses.members]
     assert all(b > a for a, b in zip(before, after, strict=True))
 
 

@@ -94,12 +94,12 @@ def test_what_is_published_keeps_it_four_times_as_long() -> None:
 def test_what_is_published_keeps_the_factor_for_longer_than_the_gate() -> None:
     run = fly(simulated(FLIGHT.replace("60.0", "20.0").replace("outages_s", "# outages_s"), seed=1))
     tracker = run.fusion._history.advance(run.estimates[-1].t_ns)
-    assert tracker.hypotheses is not None
-    tracker.variance_factor = VarianceFactor(value=2.0, lasting=5.0)
-    tracker.hypotheses.scale(2.0)
-    del tracker.hypotheses.members[1:]
+    assert tracker.core.hypotheses is not None
+    tracker.core.variance_factor = VarianceFactor(value=2.0, lasting=5.0)
+    tracker.core.hypotheses.scale(2.0)
+    del tracker.core.hypotheses.members[1:]
     shown = np.trace(tracker.shown_covariance()[E.P, E.P])
-    assert shown == pytest.approx(5.0 * np.trace(tracker.hypotheses.lead.cov[E.P, E.P]), rel=1e-6)
+    assert shown == pytest.approx(5.0 * np.trace(tracker.core.hypotheses.lead.cov[E.P, E.P]), rel=1e-6)
 
 
 def _overconfident(fix: PoseFix, factor: float) -> PoseFix:

@@ -187,13 +187,13 @@ def test_what_a_late_fix_changes_is_worked_out_behind_an_output_before_the_next_
             for message in (*aids, imu(t_ns, rng)):
                 daemon.take(Arrival(*encode_input(message), t_ns))
         history = daemon._fusion._history
-        before, at_ns = history.tracker, history.tracker.t_ns
+        before, at_ns = history.tracker, history.tracker.core.t_ns
         daemon.take(Arrival(*encode_input(pose_fix(at_ns - SECOND // 10, rng)), at_ns))
         assert history.tracker is before
         daemon.take(Arrival(*encode_input(imu(at_ns + SECOND // 100, rng)), at_ns + SECOND // 100))
         redone = history.tracker
         assert redone is not before
-        assert redone.t_ns == at_ns + SECOND // 100
+        assert redone.core.t_ns == at_ns + SECOND // 100
         daemon.take(Arrival(*encode_input(imu(at_ns + SECOND // 50, rng)), at_ns + SECOND // 50))
         assert history.tracker is redone
 

@@ -292,7 +292,7 @@ def test_the_hypothesis_without_a_receiver_does_not_show_while_there_is_no_confl
     flight = simulated(BOOT, seed=3)
     config = config_of(flight)
     usual, never = (fly(flight, replace(config, gnss=replace(config.gnss, trust=trust))) for trust in (0.99, 1.0))
-    members = [run.fusion._history.advance(run.estimates[-1].t_ns).hypotheses for run in (usual, never)]
+    members = [run.fusion._history.advance(run.estimates[-1].t_ns).core.hypotheses for run in (usual, never)]
     assert [{m.without for m in h.members} for h in members if h is not None] == [{"", "/gnss"}, {""}]
     for a, b in zip(usual.estimates, never.estimates, strict=True):
         np.testing.assert_array_equal(a.nav, b.nav)

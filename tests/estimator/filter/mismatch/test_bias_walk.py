@@ -180,12 +180,12 @@ def test_every_hypothesis_has_the_larger_biases_at_once_when_the_motion_is_found
     run = fly(flight, messages=flight.messages[:2000])
     t_ns = run.estimates[-1].t_ns
     tracker = run.fusion._history.advance(t_ns)
-    assert tracker.hypotheses is not None
-    lead = tracker.hypotheses.lead
+    assert tracker.core.hypotheses is not None
+    lead = tracker.core.hypotheses.lead
     before = lead.cov.diagonal()[E.BG.start : E.BA.stop].copy()
     tracker.bias_walk = BiasWalk((("/pose_fix", Whiteness(3.0, (4.0, 0.0, 0.0, 0.0, 0.0, 0.0))),), t_ns=t_ns - 2 * SECOND)
     tracker._note_biases(aid_of(pose_fix(t_ns)), _seen(np.array([4.0, 0.0, 0.0, 0.0, 0.0, 0.0])))
-    walked = tracker.bias_walk.walked(BiasWalk(), tracker.noise)
+    walked = tracker.bias_walk.walked(BiasWalk(), tracker.core.noise)
     assert tracker.bias_walk.factor == 100.0
     np.testing.assert_allclose(lead.cov.diagonal()[E.BG.start : E.BA.stop] - before, walked**2, rtol=1e-6)
 

@@ -98,9 +98,9 @@ def _flown(late_ms: float, late: tuple[type, ...], *, without: tuple[type, ...] 
 
 def _found_ms(run: Run, topic: str) -> tuple[float, float]:
     tracker = run.fusion._history.advance(run.estimates[-1].t_ns)
-    assert tracker.hypotheses is not None
+    assert tracker.core.hypotheses is not None
     assert tracker.delays[topic].is_state
-    lead = tracker.hypotheses.lead
+    lead = tracker.core.hypotheses.lead
     at = lead.slow.columns[delay.block(topic)].start
     return 1e3 * float(lead.slow.mean[at - E.SIZE]), 1e3 * math.sqrt(lead.cov[at, at])
 

@@ -139,6 +139,6 @@ def test_a_flight_with_fixes_in_centimetres_follows_gnss_and_reports_why() -> No
     assert refused[-1].detail.endswith("between /pose_fix and /gnss: centimetres?")
     assert "centimetres?" in run.health[-1].detail
     tracker = run.fusion._history.advance(run.estimates[-1].t_ns)
-    assert tracker.absolute == {FIX, "/gnss"}
-    assert tracker.absolute <= tracker.sources.keys()  # what a conflict names is there
+    assert tracker.core.absolute == {FIX, "/gnss"}
+    assert tracker.core.absolute <= tracker.sources.keys()  # what a conflict names is there
     assert run.internal_errors() == []

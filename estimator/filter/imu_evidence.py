@@ -1,0 +1,94 @@
+"""What the IMU itself shows: rest, the drag of a multirotor, and that a reading repeats itself though the vehicle moves."""
+
+import numpy as np
+
+from estimator.filter.alignment import NO_POSITION, Core
+from estimator.filter.imu_buffer import ImuBuffer
+from estimator.filter.relinearise import Stretch
+from estimator.sources import rest
+from estimator.sources.air import drag
+from estimator.sources.base import held
+from estimator.sources.base.aid import Aid, Refusal
+from estimator.sources.rest import Rest, RestConfig
+from models import so3
+from models.measurements import Measurement
+from models.messages import Reason
+from models.state import X
+
+FELT = frozenset({rest.TOPIC, drag.TOPIC})  # kinds of aids that ask the IMU
+_MOVES = 2  # velocities, seconds apart, that are not zero: what looks at rest goes on so
+_NO_RATE = np.zeros(3)
+_ON_THE_GROUND = RestConfig()
+
+
+class ImuEvidence:
+    """since: when rest began, and the heading then; refuted: how often positions have shown that it moves, since the IMU did;
+    same: what a sensor reads, and since when, by topic.
+    """
+
+    def __init__(self, core: Core) -> None:
+        self.core = core
+        self.since: tuple[int, float] | None = None
+        self.refuted = 0
+        self.same: dict[str, tuple[bytes, int]] = {}
+
+    def copy(self, core: Core) -> "ImuEvidence":
+        """An independent one in the same state, of another core."""
+        other = object.__new__(ImuEvidence)
+        other.core, other.since, other.refuted, other.same = core, self.since, self.refuted, self.same.copy()
+        return other
+
+    def felt(self, aid: Aid, samples: ImuBuffer) -> tuple[Aid, Measurement | Refusal]:
+        """What the IMU itself shows: rest, or the drag of a multirotor."""
+        core = self.core
+        if aid.kind == rest.TOPIC:
+            return aid, self._rest(samples)
+        config = core.config.drag
+        second, begin = core.recent(samples), samples.first_after(core.t_ns - round(config.every_s * 1e9))
+        u = samples.u[begin : samples.first_after(core.t_ns)]
+        if second is None or not len(u) or not core.is_aligned:
+            return aid, Refusal(Reason.THINNED, NO_POSITION)
+        if rest.is_quiet(second, _ON_THE_GROUND):
+            return aid, Refusal(Reason.THINNED, "at rest")
+        return drag.felt(aid, u, config)
+
+    def _rest(self, samples: ImuBuffer) -> Rest | Refusal:
+        """The vehicle at rest, as the last second of the IMU shows it and the estimate confirms."""
+        core = self.core
+        rules, u = core.config.rest, core.recent(samples)
+        if u is None or not core.is_aligned or core.hypotheses is None or not rest.is_quiet(u, rules):
+            if self.since is not None and core.is_aligned and core.hypotheses is not None:
+                core.hypotheses.forget(rest.BLOCK)
+                core.stretch = Stretch.of(core.hypotheses.lead)
+            self.since, self.refuted = None, 0
+            return Refusal(Reason.THINNED, "in motion" if core.is_aligned else NO_POSITION)
+        lead = core.hypotheses.lead
+        if self.since is None:
+            self.since = core.t_ns, so3.to_euler(lead.x[X.Q])[2]
+        since_ns, azimuth = self.since
+        if core.t_ns - since_ns < rules.after_s * 1e9:
+            return Refusal(Reason.THINNED, "at rest for a moment")
+        why = rest.objection(lead.x, lead.cov, rules)
+        if why or self.refuted >= _MOVES:
+            self.since = None  # it has to look at rest for as long again
+            self.refuted += core.is_aided
+            return Refusal(Reason.GATED, why or "looks at rest, but positions have shown that it moves")
+        core.stretch = None  # a run would leave out what rest has shown, and rest is linear
+        earth_n = core.origin.earth_rate_n if core.origin is not None else _NO_RATE
+        return rest.at_rest(u, azimuth, earth_n, rules)
+
+    def is_held(self, aid: Aid, z: Measurement, samples: ImuBuffer) -> bool:
+        """It reads the same as before, though the vehicle moves."""
+        core = self.core
+        reading = held.content(z, aid.order[-1])
+        known, since_ns = self.same.get(aid.topic, (b"", 0))
+        if known != reading:
+            self.same[aid.topic] = reading, aid.t_ns
+            return False
+        if aid.t_ns - since_ns < held.spares_ns(z, aid.kind):
+            return False
+        second = core.recent(samples)
+        if second is None:
+            return False
+        bank = core.hypotheses if core.is_aligned else None
+        return not rest.is_quiet(second, _ON_THE_GROUND) or (bank is not None and held.moves(bank.lead.x, bank.lead.cov))
