@@ -2,10 +2,10 @@
 # ruff: noqa: D301  (\b keeps line breaks in help)
 
 import os
+import re
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
 from estimator.commands import (
@@ -25,23 +25,27 @@ from estimator.commands import (
 )
 from estimator.commands import import_ as import_command
 from estimator.commands.calibrate import app as calibrate
+from estimator.commands.common.groups import Group
 from estimator.commands.fleet import app as fleet
 from estimator.commands.map import app as map_command
 from estimator.commands.vision import bench, locate, measure, overlay
 from estimator.version import version
 
-FLY, LOGS, MAPS, PHOTOS, CALIBRATION, MORE = PANELS = ("Fly", "Logs", "Maps", "Photos", "Calibration", "More")
+FLY, LOGS, MAPS, PHOTOS, CALIBRATION, MORE = ("Fly", "Logs", "Maps", "Photos", "Calibration", "More")
 _OURS = frozenset({"estimator", "logs", "models", "vision", "calib"})
 
 
-class OneLineErrors(TyperGroup):
+class OneLineErrors(Group):
     """Turns what goes wrong inside a command into one line and exit code 1; LANDFIX_DEBUG=1 or --debug lets it through."""
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
         try:
             return super().invoke(ctx)
-        except (typer.Exit, typer.Abort, TyperException, BrokenPipeError):  # usage errors exit with 2
+        except TyperException as error:  # usage errors exit with 2
+            error.message = plain(error.message)
+            raise
+        except (typer.Exit, typer.Abort, BrokenPipeError):
             raise
         except Exception as error:
             if os.environ.get("LANDFIX_DEBUG"):
@@ -49,15 +53,11 @@ class OneLineErrors(TyperGroup):
             typer.echo(f"landfix: {one_line(error)}", err=True)
             raise typer.Exit(1) from None
 
-    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002  (as click calls it)
-        """The commands of the help, one section a panel."""
-        width = max(map(len, self.commands))
-        for panel in PANELS:
-            shown = [(name, command) for name, command in self.commands.items() if command.rich_help_panel == panel]  # type: ignore[attr-defined]
-            with formatter.section(panel):
-                formatter.write_dl(
-                    [(name.ljust(width), command.get_short_help_str(formatter.width - width - 6)) for name, command in shown]
-                )
+
+def plain(message: str) -> str:
+    """A usage error without the words of the library that found it."""
+    message = re.sub(r"Value error, |, unable to parse string as an? \w+", "", message)
+    return message.replace("Input should be", "must be")
 
 
 def one_line(error: Exception) -> str:
@@ -76,7 +76,7 @@ def one_line(error: Exception) -> str:
 
 
 app = typer.Typer(
-    cls=OneLineErrors, no_args_is_help=True, add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False,
+    cls=OneLineErrors, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
 )  # fmt: skip
 
@@ -99,7 +99,7 @@ def _landfix(
     \b
     Start here:
       landfix demo                                     a simulated flight through the real pipeline
-      landfix import csv FLIGHT_DIR -o flight.mcap     a recorded flight as a log
+      landfix import FLIGHT.BIN -o flight.mcap         a recorded flight as a log (.BIN, .ulg, .tlog, bag, CSV)
       landfix replay flight.mcap -o estimate.mcap -c vehicle.toml
       landfix evaluate estimate.mcap                   how good it was
     """

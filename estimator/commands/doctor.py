@@ -25,15 +25,16 @@ def command(
         bool,
         typer.Option("--autopilot", help="Read the autopilot's parameters and check them; landfix must not be running."),
     ] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Show the checks that are ok, too.")] = False,
     json: Json = False,
 ) -> None:
     """Check machine, configuration, autopilot and log.
 
-    Every finding comes with advice. Exit code 1 if something fails.
+    Every warning and failure comes with advice. Exit code 1 if something fails.
 
     \b
     Examples:
-      landfix doctor                              this machine
+      landfix doctor -v                           this machine, with the checks that are ok
       landfix doctor -c vehicle.toml              and a configuration: cameras, ports, devices, secrets, the folder of the logs
       landfix doctor -c vehicle.toml --autopilot  and the parameters of the autopilot, over [mavlink] endpoint
       landfix doctor flight.mcap -c vehicle.toml  and a log: topics, rates, stamps, units, axes, delays
@@ -67,16 +68,20 @@ def command(
     if json:
         print_json({"checks": checks, "failed": machine.failed(checks)})
     else:
-        _print_checks(checks)
+        _print_checks(checks, verbose)
     if machine.failed(checks):
         raise typer.Exit(1)
 
 
-def _print_checks(checks: "list[Check]") -> None:
+def _print_checks(checks: "list[Check]", verbose: bool) -> None:
     from rich.text import Text
 
-    rows = [(Text(c.state, style=_COLOURS[c.state]), c.name, c.found + (f"\n-> {c.advice}" if c.advice else "")) for c in checks]
-    print_table("landfix doctor", rows)
+    shown = [c for c in checks if verbose or c.state != "ok"]
+    rows = [(Text(c.state, style=_COLOURS[c.state]), c.name, c.found + (f"\n-> {c.advice}" if c.advice else "")) for c in shown]
+    if rows:
+        print_table("landfix doctor", rows)
+    ok = sum(c.state == "ok" for c in checks)
+    typer.echo(f"{ok} of {len(checks)} checks ok" + ("" if verbose else " (-v shows them)"))
 
 
 def _print_keys(json: bool) -> None:

@@ -1,35 +1,30 @@
 """landfix import."""
 # ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
 
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from estimator.commands.common.console import Json, Out, print_json, print_table, progress
+from estimator.commands.common.console import Json, print_json, print_table, progress
 
 if TYPE_CHECKING:
     from logs.importers.summary import TopicRow
 
 
-class Kind(StrEnum):
-    """Where recordings come from."""
-
-    CSV = "csv"
-    EUROC = "euroc"
-    ULOG = "ulog"
-    DATAFLASH = "dataflash"
-    TLOG = "tlog"
-    ROSBAG = "rosbag"
+_SHAPE = "[KIND] RECORDING"
 
 
 def command(
-    kind: Annotated[Kind, typer.Argument(help="Layout of the recording.")],
-    source: Annotated[
-        Path, typer.Argument(metavar="SOURCE", help="csv, euroc: a folder; ulog, dataflash, tlog: a file; rosbag: either.")
+    recording: Annotated[
+        list[str],
+        typer.Argument(
+            metavar=_SHAPE, help="A file or folder; KIND where it does not show: csv, euroc, ulog, dataflash, tlog, rosbag."
+        ),
     ],
-    out: Out,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="OUT.mcap", help="File to write [default: RECORDING's name, here].")
+    ] = None,
     axes: Annotated[str, typer.Option(metavar="XYZ", help="csv, euroc: where the IMU's axes point, as in frd or urf.")] = "",
     world: Annotated[str, typer.Option(metavar="XYZ", help="csv: where the positions' axes point, as in ned or enu.")] = "",
     imu: Annotated[str, typer.Option(metavar="NAME", help="Which of several IMUs: imu2, IMU3; rosbag: its topic.")] = "",
@@ -45,26 +40,40 @@ def command(
 
     \b
     Examples:
-      landfix import csv flight_dir -o flight.mcap       imu.csv, truth.csv, gps.csv (also .csv.gz)
+      landfix import flight.ulg                          PX4 -> flight.mcap, flight.toml
+      landfix import 171.BIN -o flight.mcap              ArduPilot, on board
+      landfix import flight.tlog                         MAVLink, on the ground
+      landfix import bag_folder -o flight.mcap           ROS 2 (MCAP, sqlite3), ROS 1 (.bag)
+      landfix import flight_dir -o flight.mcap           imu.csv, truth.csv, gps.csv (also .csv.gz)
       landfix import csv flight_dir -o flight.mcap --pose-fix-hz 2
       landfix import csv MH_03_medium -o flight.mcap --pose-fix-hz 0.1 --odometry
       landfix import euroc MH_03_medium -o flight.mcap   the data set's own layout (mav0/...)
-      landfix import ulog flight.ulg -o flight.mcap      PX4
-      landfix import dataflash 171.BIN -o flight.mcap    ArduPilot, on board
-      landfix import tlog flight.tlog -o flight.mcap     MAVLink, on the ground
-      landfix import rosbag bag_folder -o flight.mcap    ROS 2 (MCAP, sqlite3), ROS 1 (.bag)
     """
     from logs.importers import ImportOptions, convert
 
+    kind, source = _kind_and_source(recording)
+    out = out or Path(f"{source.absolute().stem}.mcap")
     options = ImportOptions(axes=axes, world=world, imu=imu, pose_fix_hz=pose_fix_hz, odometry=odometry)
     with progress(f"import {source.name}") as report:
-        summary = convert(kind.value, source, out, report, options)
+        summary = convert(kind, source, out, report, options)
     if json:
         print_json(summary)
     else:
         if summary.topics:
             _print_topics(source, summary.topics)
         typer.echo(f"{out}: {summary}")
+
+
+def _kind_and_source(recording: list[str]) -> tuple[str, Path]:
+    """Of `KIND RECORDING`, or of RECORDING alone, whose kind is found."""
+    from logs.importers import KINDS, ROSBAG, kind_of
+
+    if len(recording) == 1:
+        return kind_of(Path(recording[0])), Path(recording[0])
+    kinds = (*KINDS, ROSBAG)
+    if len(recording) > 2 or recording[0] not in kinds:
+        raise typer.BadParameter(f"give {_SHAPE}, KIND one of {', '.join(kinds)}; one recording at a time")
+    return recording[0], Path(recording[1])
 
 
 def _print_topics(source: Path, topics: "tuple[TopicRow, ...]") -> None:

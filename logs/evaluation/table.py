@@ -1,6 +1,7 @@
 """An Evaluation as tables: for a terminal here, for a page in logs/report/write.py."""
 
 from collections.abc import Sequence
+from textwrap import wrap
 
 from rich import box
 from rich.console import Console
@@ -12,6 +13,8 @@ from logs.evaluation.metrics import Consistency, Stats
 from logs.evaluation.records import Accuracy, ConsistencySummary, Evaluation
 
 _OF_A_LIMIT = ("limit m", "available", "hazardous", "unavailable")  # rows of the integrity table that need one
+
+_OTHERS = 36  # characters of a line of reasons
 
 Rows = tuple[str, tuple[str, ...], Sequence[Sequence[str]]]  # title, header, rows
 
@@ -38,7 +41,7 @@ def _narrow(table: Rows) -> Rows:
     title, (source, kind, *numbers), rows = table
     fused, _, *others = numbers
     return title, (f"{source}, {kind}", fused, *others), [
-        (f"{r[0]} {r[1]}" + (f"\n  {r[3]}" if r[3] != "-" else ""), r[2], *r[4:]) for r in rows
+        ("\n  ".join([f"{r[0]} {r[1]}", *(wrap(r[3], _OTHERS) if r[3] != "-" else ())]), r[2], *r[4:]) for r in rows
     ]  # fmt: skip
 
 

@@ -11,7 +11,7 @@ May import logs.store, logs.wire and models.
 
 from collections.abc import Callable, Iterator
 from importlib import import_module
-from pathlib import Path
+from pathlib import Path, PurePath
 
 from logs.importers.recording import DEFAULTS, ImportOptions, Message, Progress, Recording, Truth
 from logs.importers.summary import ImportSummary
@@ -20,13 +20,47 @@ from logs.store.recorder import REFERENCE_ATTACHMENT, Recorder
 from logs.wire.encoding import Encoded, encode_input, encode_truth
 from models.untrusted.boundary import refusing
 
-__all__ = ["KINDS", "ROSBAG", "ImportOptions", "ImportSummary", "Recording", "Truth", "convert", "read"]
+__all__ = [
+    "KINDS",
+    "ROSBAG",
+    "ImportOptions",
+    "ImportSummary",
+    "Recording",
+    "Truth",
+    "convert",
+    "kind_of",
+    "kind_of_name",
+    "read",
+]
 
 ROSBAG = "rosbag"
 KINDS = {"csv": "csv_folder", "euroc": "euroc", "ulog": "ulog", "dataflash": "dataflash", "tlog": "tlog"}
 
+_SUFFIXES = {".ulg": "ulog", ".bin": "dataflash", ".tlog": "tlog", ".bag": ROSBAG, ".db3": ROSBAG}
 _PROGRESS_EVERY = 2000  # messages
 _READING = 0.3  # its share of the work
+
+
+def kind_of_name(name: str) -> str | None:
+    """The kind of a recording by the ending of its name; None: not one of another program (.mcap may be either)."""
+    return _SUFFIXES.get(PurePath(name).suffix.lower())
+
+
+def kind_of(source: Path) -> str:
+    """The kind of a recording on disk: of a file by its name, of a folder by what it holds. Raises LogError."""
+    if not source.exists():
+        raise LogError(f"{source}: no such file or folder")
+    names = {path.name for path in source.iterdir()} if source.is_dir() else {source.name}
+    if names & {"imu.csv", "imu.csv.gz"}:
+        return "csv"
+    if names & {"mav0", "imu0"}:
+        return "euroc"
+    if "metadata.yaml" in names or any(name.endswith(".mcap") for name in names):
+        return ROSBAG
+    kinds = {kind for name in names if (kind := kind_of_name(name))}
+    if kinds == {ROSBAG} or (source.is_file() and kinds):
+        return kinds.pop()
+    raise LogError(f"{source}: its kind does not show; name it first: {', '.join(KINDS)}, {ROSBAG}")
 
 
 def read(kind: str, source: Path, options: ImportOptions = DEFAULTS, progress: Progress | None = None) -> Recording:

@@ -152,11 +152,20 @@ def a_satellite_image_and_a_photo(folder: Path) -> None:
     (folder / "benchmarks").symlink_to(ROOT / "benchmarks")
 
 
+def a_log_of_px4(folder: Path) -> None:
+    """Six seconds of a ULog as the autopilot wrote it."""
+    log = data_folder() / "native_logs" / "px4_fmuv6c_6s.ulg"
+    if not log.is_file():
+        pytest.skip("the public logs are not here (LANDFIX_DATA)")
+    (folder / "FLIGHT.ulg").symlink_to(log)
+
+
 BROUGHT: dict[str, Callable[[Path], None]] = {
     "README": a_csv_flight,
     "tutorial_calibrate": a_board_and_an_imu,
     "tutorial_photo": a_photo_and_footprints,
     "tutorial_first_hour": a_satellite_image_and_a_photo,
+    "tutorial_own_log": a_log_of_px4,
 }
 
 
@@ -218,6 +227,7 @@ def reported(folder: Path, _: str) -> None:
 
 GIVES: dict[str, Callable[[Path, str], None]] = {
     "README": reported,
+    "tutorial_own_log": reported,
     "tutorial_replay": replayed,
     "tutorial_calibrate": calibrated,
     "tutorial_map": mapped,

@@ -13,6 +13,7 @@ from typer.testing import CliRunner, Result
 from estimator.cli import app
 from estimator.replay import simulate as simulated
 from estimator.service.log.recovery import is_torn
+from logs.importers import kind_of
 from logs.store.reader import LogReader
 from models.sim.scenario import simulate
 from models.sim.scenario_file import loads
@@ -123,6 +124,47 @@ def test_import_csv(tmp_path: Path) -> None:
     alone = run("replay", out, "-o", tmp_path / "est.mcap", "-c", out.with_suffix(".toml"))
     assert alone.exit_code == 1
     assert alone.stderr.startswith("landfix: no estimate: no GNSS or pose fix in the log")
+
+
+@pytest.mark.parametrize(
+    ("names", "kind"),
+    [
+        (["171.BIN"], "dataflash"), (["a.ulg"], "ulog"), (["a.tlog"], "tlog"), (["a.bag"], "rosbag"), (["a.mcap"], "rosbag"),
+        (["d/imu.csv.gz", "d/gps.csv"], "csv"), (["d/mav0/x"], "euroc"), (["d/metadata.yaml", "d/a_0.db3"], "rosbag"),
+        (["d/1.bag", "d/2.bag"], "rosbag"),
+    ],
+)  # fmt: skip
+def test_the_kind_of_a_recording_is_found(tmp_path: Path, names: list[str], kind: str) -> None:
+    for name in names:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    assert kind_of(tmp_path / names[0].partition("/")[0]) == kind
+
+
+def test_import_without_a_kind_writes_a_log_of_that_name_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "flight_dir").mkdir()
+    rows = "".join(f"{0.01 * k},0,0,0,0,0,-9.8\n" for k in range(300))
+    (tmp_path / "flight_dir" / "imu.csv").write_text(f"t_s,gx,gy,gz,fx,fy,fz\n{rows}")
+    monkeypatch.chdir(tmp_path)
+    assert run("import", "flight_dir").exit_code == 0
+    assert (tmp_path / "flight_dir.mcap").is_file()
+    (tmp_path / "empty").mkdir()
+    assert "its kind does not show" in fails("import", "empty")
+
+
+@pytest.mark.parametrize(
+    "args", [["demo", "--seed", "x"], ["tune", "a.mcap", "-o", "b", "--jobs", "x"], ["import", "a", "b", "c"]]
+)
+def test_usage_errors_have_no_words_of_a_library(args: list[str]) -> None:
+    done = run(*args)
+    assert done.exit_code == 2
+    assert not re.search("Value error|Input should|parse string", done.stderr)
+
+
+@pytest.mark.parametrize("group", [[], ["map"], ["fleet"], ["calibrate"], ["bench"]])
+def test_no_line_of_the_help_is_cut(group: list[str]) -> None:
+    listed = run(*group, "--help").stdout.partition("Options:")[2]
+    assert [line for line in listed.splitlines() if line.endswith("...")] == []
 
 
 def test_recover(flight: Path, tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from estimator.commands.common.console import Json, Out, note, print_json, print_table, progress
+from estimator.commands.common.groups import Group
 from estimator.commands.map import get, learn
 
 if TYPE_CHECKING:
@@ -18,7 +19,9 @@ _COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
 _IMAGES = frozenset({".tif", ".tiff", ".png", ".jpg", ".jpeg"})
 _MOST_LINES = 20  # of one kind on a screen; --json has them all
 
-app = typer.Typer(no_args_is_help=True, help="Maps of landmarks: build, get, learn, show, check.", rich_markup_mode=None)
+app = typer.Typer(
+    cls=Group, no_args_is_help=True, help="Maps of landmarks: build, get, learn, show, check.", rich_markup_mode=None
+)
 MapFile = Annotated[Path, typer.Argument(metavar="MAP.geojson", help="A map, or any GeoJSON of polygons.")]
 
 

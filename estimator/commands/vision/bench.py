@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 from estimator.commands.common.console import Json, note, print_json, print_table, progress
+from estimator.commands.common.groups import Group
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 _Name = TypeVar("_Name", bound=str)
 
 app = typer.Typer(
-    no_args_is_help=True, help="Benchmark the recognition of landmarks against other methods.", rich_markup_mode=None
+    cls=Group, no_args_is_help=True, help="Benchmark the recognition of landmarks against other methods.", rich_markup_mode=None
 )
 
 

@@ -23,12 +23,11 @@ from estimator.version import version
 from logs.evaluation.collected import TRUTH_TOPIC
 from logs.evaluation.collected import read as collect
 from logs.evaluation.evaluate import assess
-from logs.importers import ROSBAG, convert
+from logs.importers import convert, kind_of_name
 from logs.store.parts import PartsReader
 from logs.store.reader import LogError
 from logs.store.recorder import CONFIG_ATTACHMENT
 
-_IMPORTED: Final = {".ulg": "ulog", ".bin": "dataflash", ".tlog": "tlog", ".bag": ROSBAG, ".db3": ROSBAG}
 _PACKAGES: Final = ("estimator", "vision", "models", "calib", "logs")
 _SLOWEST_HZ: Final = 0.01
 _ROOT: Final = Path(__file__).parents[3]
@@ -151,7 +150,7 @@ def _local(flight: Flight, wanted: Callable[[str], bool], scratch: Path, row: di
     for address in flight.parts:
         fs, path = open_at(address)
         name = PurePosixPath(path).name
-        kind = _IMPORTED.get(PurePosixPath(name).suffix.lower())
+        kind = kind_of_name(name)
         copied = copy_selected(fs, path, scratch / name, wanted)
         row["read_bytes"] += copied.read_bytes
         digest.update(copied.digest.encode())
