@@ -5,7 +5,9 @@
     peak                       where its blocks do not agree: the peak of its search, where that is very clear, peak.py
     features                   where the prior is too wide for that, or none of these is certain: features.py
     learned features           where they are not either, and models are given: learned.py
-    peak and another evidence  where the peak is only clear: blocks that are likely, or images of two other views that agree
+    peak and another evidence  where the peak is only clear: edges that lie the same way, blocks that are likely, or images of two
+                               other views that agree
+    ridge                      where nothing of this succeeded, and the search's best positions are one line: across it, peak.py
 
 All of them end in a LandmarkFix; the image counts as one landmark, named as its file, with the errors of its georeference.
 The result depends on the requests since the run began and on nothing else: a replay takes the same decisions.
@@ -26,8 +28,9 @@ from models.prior import Prior
 from vision.ground.features import FeatureConfig, FeatureMap, NotRecognised, Recognised, recognise
 from vision.ground.image import GroundImage
 from vision.ground.learned import Learned, recognise_learned
-from vision.ground.peak import PeakConfig, fit_peak, stands_alone
-from vision.ground.registration import NotRegistered, Peak, Registered, RegistrationConfig, register
+from vision.ground.peak import PeakConfig, edges_agree, fit_peak, fit_ridge, stands_alone
+from vision.ground.registration import Registered, register
+from vision.ground.search import NotRegistered, Peak, RegistrationConfig
 from vision.identify.sightings import one_eyed
 from vision.image.check import image_flaw
 from vision.image.rectify import Image
@@ -133,11 +136,12 @@ class Recognisers:
                 self._likely = None
                 return other
             peak = replace(peak, report=_with_detail(peak.report, other.report.detail))
-        return peak if peak.pose is None else self._agreed(known, found, peak, prior)
+        last = peak if peak.pose is None else self._agreed(known, found, peak, prior)
+        return last if last.fix is not None else self._across(known, rig, found, last, prior)
 
     def _by_peak(self, known: MapImage, rig: StereoRig, found: Registered | NotRegistered, prior: Prior, laid: Result) -> Result:
-        """What the search says, a fix where it needs no other evidence or blocks are likely, too; a pose without a fix where it
-        is only clear; else what became of the blocks.
+        """What the search says, a fix where it needs no other evidence or has it, edges that agree or likely blocks; a pose
+        without a fix where it is only clear; else what became of the blocks.
         """
         peak, config = found.peak, self._config.peak
         if peak is None:
@@ -146,16 +150,32 @@ class Recognisers:
         flaw = pose if isinstance(pose, str) else pose_flaw(pose, prior)
         if flaw or isinstance(pose, str):
             return replace(laid, report=_with_detail(laid.report, str(flaw)))
+        coefficient = 0.0 if peak.oriented is None else peak.oriented.coefficient
         evidence = (
             f"{known.image.name}: position by the peak of the search alone, {peak.ratio:.2f} times the second, "
-            f"correlation {peak.correlation:.2f}; {laid.report.detail}"
+            f"correlation {peak.correlation:.2f}, of the edges' directions {coefficient:.2f}; {laid.report.detail}"
         )
         fixed = _fixed(laid.report.t_ns, known.image.name, pose, (1, 1), evidence, peak.correlation)
         likely = isinstance(found, Registered) and found.is_likely(self._config.registration)
-        if stands_alone(peak, config) or (likely and laid.report.outcome == "ambiguous"):
+        blocks = likely and laid.report.outcome == "ambiguous"
+        if stands_alone(peak, config) or edges_agree(peak, config) or blocks:
             self._likely = None
             return fixed
         return replace(fixed, fix=None, report=msgspec.structs.replace(fixed.report, outcome="waiting", candidates=0))
+
+    def _across(self, known: MapImage, rig: StereoRig, found: Registered | NotRegistered, last: Result, prior: Prior) -> Result:
+        """A fix across the line of the search's best positions, where they are one; else what was said last."""
+        peak, config = found.peak, self._config.peak
+        pose = "" if peak is None else fit_ridge(rig, prior, known.image, peak, config)
+        if isinstance(pose, str) or pose_flaw(pose, prior):
+            return last
+        assert peak is not None
+        assert peak.ridge is not None
+        evidence = (
+            f"{known.image.name}: position across a line alone, {peak.ridge.ratio:.2f} times the best beside it, "
+            f"correlation {peak.correlation:.2f}; {last.report.detail}"
+        )
+        return _fixed(last.report.t_ns, known.image.name, pose, (1, 1), evidence, peak.correlation)
 
     def _agreed(self, known: MapImage, found: Registered | NotRegistered, weak: Result, prior: Prior) -> Result:
         """A fix where images of other views said the same; else the peak waits for them."""

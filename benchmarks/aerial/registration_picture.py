@@ -14,8 +14,9 @@ import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 
 from benchmarks.aerial.registration_sets import flights
-from vision.ground import registration
 from vision.ground.image import pyramid
+from vision.ground.registration import Registered, register
+from vision.ground.search import structure
 from vision.ground.view import camera_view, make_grid, map_view
 
 OUT = Path(__file__).parents[2] / "docs/images/vision_pictures.jpg"
@@ -29,12 +30,12 @@ def main() -> None:
     image, prior = flight.known.image, shot.prior
     camera = (flight.rig.left, *flight.rig.camera_pose(prior.p_n, prior.R_nb))
     grid = make_grid(camera, image, _POINTS)
-    found = registration.register(flight.rig, shot.image, prior, image)
+    found = register(flight.rig, shot.image, prior, image)
     assert grid is not None
-    assert isinstance(found, registration.Registered)
+    assert isinstance(found, Registered)
     view, seen = camera_view(pyramid(shot.image), camera, grid, image)
     known, _ = map_view(image, grid, _REACH)
-    a, b = registration.structure(view), registration.structure(known)
+    a, b = structure(view), structure(known)
     scores = cv2.matchTemplate(b, a, cv2.TM_CCOEFF_NORMED, mask=seen.astype(np.float32))
     figure, axes = plt.subplots(2, 3, figsize=(12.0, 6.6), layout="constrained")
     _show(axes[0, 0], shot.image[..., ::-1], "camera: another season, hazy, overcast")

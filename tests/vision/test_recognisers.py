@@ -12,7 +12,7 @@ from tests.vision.ground import scene
 from vision import recognisers
 from vision.ground.features import FeatureConfig, FeatureMap
 from vision.ground.peak import PeakConfig
-from vision.ground.registration import RegistrationConfig
+from vision.ground.search import RegistrationConfig
 from vision.image.rectify import Image
 from vision.recognisers import MapImage, RecogniserConfig, Recognisers
 
@@ -132,10 +132,12 @@ def test_too_late_out_of_order_or_elsewhere_confirms_nothing(known: MapImage, se
     assert waiting.process(left, None, 20 * SECOND + round(seconds * SECOND), later).report.outcome == "ambiguous"
 
 
-def _only_a_peak(**changes: float) -> RecogniserConfig:
-    """Blocks and features never agree."""
+def _only_a_peak(oriented: float = 1.0, **changes: float) -> RecogniserConfig:
+    """Blocks, features and the directions of edges never agree."""
     never = RegistrationConfig(least_blocks=10**6)
-    return RecogniserConfig(registration=never, features=FeatureConfig(least=10**6), peak=PeakConfig(**changes))
+    return RecogniserConfig(
+        registration=never, features=FeatureConfig(least=10**6), peak=PeakConfig(oriented=oriented, **changes)
+    )
 
 
 def test_a_very_clear_peak_is_a_fix_before_features_are_sought(known: MapImage, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -164,6 +166,15 @@ def test_a_clear_peak_alone_waits_for_two_other_views(known: MapImage, high: str
         _, prior, left, _ = _seen(1, on=on)
         later = Prior(prior.p_n + np.array([8.0, 0.0, 0.0]), prior.q_nb_wxyz, prior.covariance)
         assert contradicted.process(left, None, t * SECOND, later).report.outcome == "waiting"
+
+
+def test_a_clear_peak_is_a_fix_where_edges_lie_the_same_way(known: MapImage) -> None:
+    p_n, prior, left, _ = _seen(1)
+    config = _only_a_peak(oriented=0.18, alone_ratio=1e9)
+    result = Recognisers(scene.RIG, NOTHING, known, config).process(left, None, 7, prior)
+    assert result.fix is not None
+    assert result.pose is not None
+    assert np.linalg.norm(result.pose.joint_p_n[:2] - p_n[:2]) < 3.0
 
 
 def test_a_prior_that_excludes_the_position_is_accepted(known: MapImage) -> None:

@@ -19,7 +19,7 @@ from models.messages import Array
 from models.prior import Prior
 from vision.ground.features import FeatureConfig, Matches, NotRecognised, Recognised, pose_of_matches
 from vision.ground.image import Float, GroundImage, pyramid, sample
-from vision.ground.registration import shift_of_ground
+from vision.ground.search import shift_of_ground
 from vision.ground.view import Mask, make_grid
 from vision.image.rectify import Image
 

@@ -12,24 +12,27 @@ and its object's edge is not off: at worst the peak is half-way. m = 1 / (2 tan 
 Every search has a peak: it must be high over the second one, over zero, and over the scatter at all other positions. Some ten
 thousand positions, headings and heights are tried. If their correlations were Gaussian, the best one would be 5 standard
 deviations high by chance in 0.3 % of all searches, 5.5 in 0.02 %; of M independent positions the best is r times the second with
-a probability of about M^(-2 (r - 1)), for 1.6 and some thousand below 0.01 %. A lower peak needs another evidence
-(recognisers.py).
+a probability of about M^(-2 (r - 1)), for 1.6 and some thousand below 0.01 %. A lower peak needs another evidence: edges that
+lie the same way there (orientation.py), or what recognisers.py knows. Where the best positions are one line (ridge.py), n of
+its C is given by their scatter across, nothing is known along it, and the same evidence is needed.
 """
 
 import math
-from typing import Annotated
+from typing import Annotated, Final
 
 import msgspec
 import numpy as np
 from msgspec import Meta
 
 from models.camera import StereoRig
+from models.messages import Array
 from models.prior import Prior
 from vision.ground.image import GroundImage
-from vision.ground.registration import Peak
+from vision.ground.search import Peak
 from vision.pose.point_pose import PointConfig, Points, fit_points
 from vision.pose.pose import PoseEstimate
 
+_OPEN_M: Final = 1e4  # 1 sigma along a line of positions: nothing is known
 _POINT = PointConfig(least=1, freedom=1e3, expected=1.0)  # one point is not used for its own noise
 
 
@@ -42,6 +45,13 @@ class PeakConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     alone_ratio: Annotated[float, Meta(ge=1, description="peak over the second one, without other evidence")] = 1.6
     alone_correlation: Annotated[float, Meta(ge=0, le=1, description="at the peak, without other evidence")] = 0.3
     alone_deviations: Annotated[float, Meta(ge=0, description="correlation over the scatter, without other evidence")] = 5.5
+    oriented: Annotated[float, Meta(ge=0, le=1, description="coefficient of the edges' directions, as other evidence")] = 0.18
+    oriented_correlation: Annotated[float, Meta(ge=0, le=1, description="at the peak, with that evidence")] = 0.25
+    oriented_ratio: Annotated[float, Meta(ge=1, description="that over the largest elsewhere")] = 1.15
+    oriented_deviations: Annotated[float, Meta(ge=0, description="that over the scatter at other positions")] = 4.5
+    line_deviations: Annotated[
+        float, Meta(ge=0, description="correlation over the scatter beside a line, of which there are fewer than of positions")
+    ] = 3.0
     noise: Annotated[float, Meta(gt=0, description="c: variance of the correlation's noise")] = 2e-3
     step: Annotated[float, Meta(gt=0, description="f: of the search's step, 1 sigma")] = 0.3
     moved: Annotated[float, Meta(ge=0, description="m: of the unevenness, 1 sigma, where nothing correlates")] = 1.9
@@ -69,6 +79,17 @@ def stands_alone(peak: Peak, config: PeakConfig) -> bool:
     )
 
 
+def edges_agree(peak: Peak, config: PeakConfig) -> bool:
+    """Whether edges lie the same way at the peak, and nowhere else as much."""
+    o = peak.oriented
+    return o is not None and (
+        peak.correlation >= config.oriented_correlation
+        and o.coefficient >= config.oriented
+        and o.ratio >= config.oriented_ratio
+        and o.deviations >= config.oriented_deviations
+    )
+
+
 def fit_peak(
     rig: StereoRig, prior: Prior, map_image: GroundImage, peak: Peak, config: PeakConfig | None = None
 ) -> PoseEstimate | str:
@@ -79,11 +100,40 @@ def fit_peak(
     assert peak.curvature is not None
     rho = peak.correlation
     C = config.noise * (1.0 - rho**2) / rho * np.linalg.inv(peak.curvature) + (config.step * peak.q) ** 2 * np.eye(2)
+    return _fit(rig, prior, map_image, (peak.seen_n, peak.shown_n, C), _moved(peak, map_image, config))
+
+
+def fit_ridge(
+    rig: StereoRig, prior: Prior, map_image: GroundImage, peak: Peak, config: PeakConfig | None = None
+) -> PoseEstimate | str:
+    """The pose by the prior and the line of the search's best positions, or why there is none; measured across the line only."""
+    config = config or PeakConfig()
+    ridge = peak.ridge
+    if ridge is None:
+        return "the best positions are no line"
+    if peak.correlation < config.alone_correlation or ridge.deviations < config.line_deviations:
+        return f"correlation {peak.correlation:.2f}, {ridge.deviations:.1f} standard deviations of those beside the line"
+    if peak.oriented is None or peak.oriented.coefficient < config.oriented:
+        return "the edges lie another way"
+    across = np.outer(ridge.normal_n, ridge.normal_n)
+    C = (ridge.sigma_m**2 + (config.step * peak.q) ** 2) * across + _OPEN_M**2 * (np.eye(2) - across)
+    return _fit(rig, prior, map_image, (ridge.seen_n, ridge.shown_n, C), _moved(peak, map_image, config))
+
+
+def _moved(peak: Peak, map_image: GroundImage, config: PeakConfig) -> float:
+    """s [m]."""
+    return config.moved * map_image.heights.unevenness_m * (1.0 - peak.correlation) ** 4
+
+
+def _fit(
+    rig: StereoRig, prior: Prior, map_image: GroundImage, found: tuple[Array, Array, Array], moved_m: float
+) -> PoseEstimate | str:
+    """found: ground that the prior has at a pixel, the map's position of it, its covariance (2, 2); moved_m: common to all."""
+    seen_n, shown_n, C = found
     p_nc, R_nc = rig.camera_pose(prior.p_n, prior.R_nb)
-    x_c = ((peak.seen_n - p_nc) @ R_nc)[None]
+    x_c = ((seen_n - p_nc) @ R_nc)[None]
     J = (rig.left.project_jacobian(x_c)[0] @ R_nc.T)[:, :2]
-    point = Points(map_image.points(peak.shown_n[None]), rig.left.project(x_c), (J @ C @ J.T)[None])
+    point = Points(map_image.points(shown_n[None]), rig.left.project(x_c), (J @ C @ J.T)[None])
     horizontal, height, slope = map_image.shared_sigma
-    moved = config.moved * map_image.heights.unevenness_m * (1.0 - rho) ** 4
-    found = fit_points(rig, point, (prior.p_n, prior.R_nb), prior, (math.hypot(horizontal, moved), height, slope), _POINT)
-    return found if isinstance(found, str) else found.estimate
+    fit = fit_points(rig, point, (prior.p_n, prior.R_nb), prior, (math.hypot(horizontal, moved_m), height, slope), _POINT)
+    return fit if isinstance(fit, str) else fit.estimate

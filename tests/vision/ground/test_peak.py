@@ -12,7 +12,8 @@ from models.prior import Prior
 from tests.vision.ground import scene
 from vision.ground.image import GroundImage, Heights
 from vision.ground.peak import PeakConfig, fit_peak, peak_flaw
-from vision.ground.registration import NotRegistered, Peak, RegistrationConfig, register
+from vision.ground.registration import register
+from vision.ground.search import NotRegistered, Peak, RegistrationConfig
 from vision.pose.pose import difference
 
 _SIGMA = np.array([8.0, 8.0, 3.0, 0.01, 0.01, 0.03])

@@ -12,7 +12,8 @@ from models.messages import Array
 from models.prior import Prior
 from tests.vision.ground import scene
 from vision.ground.image import GroundImage, Heights, pyramid
-from vision.ground.registration import NotRegistered, Registered, RegistrationConfig, _search, register, shift_of_ground
+from vision.ground.registration import Registered, register
+from vision.ground.search import NotRegistered, RegistrationConfig, search, shift_of_ground
 from vision.pose.pose import difference
 
 _SIGMA = np.array([8.0, 8.0, 3.0, 0.01, 0.01, 0.03])
@@ -57,7 +58,7 @@ def test_a_camera_that_looks_ahead() -> None:
         q0 = so3.normalise(so3.multiply(so3.from_euler(0.0, 0.0, 0.05), q))
         prior = Prior(p_n + np.array([7.0, -6.0, 6.0]), q0, np.diag(_SIGMA**2))
         image, map_image = scene.shot(ground, p_n, so3.matrix(q), rng), scene.map_image(ground)
-        position = _search(scene.RIG, pyramid(image), prior, map_image, _CONFIG)
+        position = search(scene.RIG, pyramid(image), prior, map_image, _CONFIG)
         assert not isinstance(position, NotRegistered)
         assert np.linalg.norm((position.p_n - p_n)[:2]) < 1.2, "turned about the vehicle, not about what it sees"
         found = register(scene.RIG, image, prior, map_image)

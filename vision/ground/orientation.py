@@ -1,0 +1,53 @@
+"""Whether edges lie the same way: a second kind of evidence for a position that was found by where the edges are.
+
+    o = s (cos 2 theta, sin 2 theta),   rho(d) = sum o_t o_i(d) / sqrt(sum o_t^2 sum o_i(d)^2),   o less its mean
+
+s: structure, theta: direction of the gradient; twice the angle, as an edge may be bright on either side. Where structures
+coincide by chance their directions do not: rho is 0 in the mean. A direction that all edges have in common, of streets or of an
+oblique view, is no evidence: the mean is taken off.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from vision.ground.image import Float
+from vision.ground.view import Mask
+
+_BLUR_PX = 1.0
+_BESIDE_PX = 1.5  # as far from the peak the coefficient is sought
+
+
+@dataclass(frozen=True, slots=True)
+class Oriented:
+    """coefficient: at the peak; ratio: over the largest elsewhere; deviations: over the scatter elsewhere."""
+
+    coefficient: float
+    ratio: float
+    deviations: float
+
+
+def directions(view: Float, structure: Float) -> Float:
+    """o (h, w, 2)."""
+    smooth = cv2.GaussianBlur(view, (0, 0), _BLUR_PX)
+    x, y = (cv2.Sobel(smooth, cv2.CV_32F, *order) for order in ((1, 0), (0, 1)))
+    norm = np.maximum(x * x + y * y, np.float32(1e-6))
+    o: Float = structure[..., None] * np.stack(((x * x - y * y) / norm, 2.0 * x * y / norm), axis=-1)
+    return o
+
+
+def oriented(image: Float, template: Float, mask: Float, at: tuple[int, int], elsewhere: Mask) -> Oriented:
+    """The coefficient at (row, column) of all shifts, and at those of elsewhere. image, template: directions."""
+    count = float(mask.sum())
+    t = mask[..., None] * (template - (mask[..., None] * template).sum(axis=(0, 1)) / count)
+    product = cv2.matchTemplate(image, t, cv2.TM_CCORR)
+    planes = [np.ascontiguousarray(image[..., k]) for k in range(image.shape[-1])]
+    mean_squared = sum(cv2.matchTemplate(plane, mask, cv2.TM_CCORR) ** 2 / count for plane in planes)
+    energy = cv2.matchTemplate(np.ascontiguousarray((image * image).sum(axis=-1)), mask, cv2.TM_CCORR) - mean_squared
+    rho = product / np.sqrt(np.maximum(energy, np.float32(1e-6)) * float((t * t).sum()))
+    rows, columns = np.indices(rho.shape)
+    best = float(rho[np.hypot(rows - at[0], columns - at[1]) <= _BESIDE_PX].max())
+    others = rho[elsewhere]
+    scatter, second = (float(others.std()), float(others.max())) if len(others) else (0.0, 1.0)
+    return Oriented(best, best / max(second, 1e-6), best / scatter if scatter > 0.0 else 0.0)

@@ -1,0 +1,93 @@
+"""A river, road or tree belt: the search's scores stand out along one line, so that the position is known across it alone.
+
+    rivals = {d: score(d) > usual + (best - usual) / ratio},   n = least eigenvector of their covariance, weights score - level
+
+They are one line if none is farther from it than a peak is wide, if they are longer than that, and if all of its width was
+searched. n mean(rivals) is measured, with their scatter across: the line need not be straight, nor one point wide. It holds
+where the evidence is, the weighted mean of what correlates: beside it an error of heading or height would move it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.messages import Array
+from vision.ground.image import Float
+from vision.ground.view import Mask
+
+LOBE_PX = 6.0  # from a peak: another position begins there
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """In points of the search: normal (2,) column, row; offset: of the line from the best position, along it; sigma: across.
+
+    ratio, deviations: as a Peak's, second and scatter of the positions beside the line.
+    """
+
+    normal: Array
+    offset: float
+    sigma: float
+    ratio: float
+    deviations: float
+
+
+@dataclass(frozen=True, slots=True)
+class Ridge:
+    """On the ground. normal_n (2,): the measured direction; seen_n (3,): where by the prior lies what correlates; shown_n (2,): a
+    point of the line where by the map it lies; sigma_m: across; ratio, deviations: as a Peak's, beside the line.
+    """
+
+    normal_n: Array
+    seen_n: Array
+    shown_n: Array
+    sigma_m: float
+    ratio: float
+    deviations: float
+
+
+def find_line(scores: Float, inside: Mask, extent: Array, ratio: float) -> Line | None:
+    """The line on which all positions with more than 1 / ratio of the peak's height lie; None where there is none.
+
+    scores (turns, rows, columns), -1 where not searched; extent (2, 2): d^T extent^-1 d <= 1 was searched about the middle.
+    """
+    k, i, j = np.unravel_index(int(np.argmax(scores)), scores.shape)
+    highest, best = scores.max(axis=0), float(scores[k, i, j])
+    usual = float(np.median(highest[inside]))
+    level = usual + (best - usual) / ratio
+    rows, columns = np.indices(inside.shape)
+    d = np.stack((columns - j, rows - i), axis=-1).astype(np.float64)
+    rivals = inside & (highest > level)
+    at, weight = d[rivals], (highest[rivals] - level).astype(np.float64)
+    middle = weight @ at / weight.sum()
+    off = at - middle
+    values, vectors = np.linalg.eigh((off.T * weight) @ off / weight.sum())
+    normal, along = vectors.T
+    offset, reach = float(normal @ middle), float(np.sqrt(normal @ extent @ normal))
+    from_middle = float(normal @ (np.array([j, i]) - len(inside) // 2)) + offset
+    too_wide = float(np.abs(off @ normal).max()) > LOBE_PX or abs(from_middle) + LOBE_PX > reach
+    if too_wide or float(np.abs(off @ along).max()) <= LOBE_PX:
+        return None
+    beside = inside & (np.abs(d @ normal - offset) > LOBE_PX)
+    second, scatter = float(highest[beside].max(initial=-1.0)), float(scores[k][beside].std()) if beside.any() else 0.0
+    if not (second > usual and scatter > 0.0):
+        return None
+    return Line(normal, offset, float(np.sqrt(max(values[0], 0.0))), (best - usual) / (second - usual), best / scatter)
+
+
+def off_line(inside: Mask, row: int, column: int, line: Line | None) -> Array:
+    """Distance [points] of all shifts from the line, or from the best position (row, column) where there is none."""
+    rows, columns = np.indices(inside.shape)
+    if line is None:
+        return np.asarray(np.hypot(rows - row, columns - column))
+    off: Array = np.abs((columns - column) * line.normal[0] + (rows - row) * line.normal[1] - line.offset)
+    return off
+
+
+def where_evidence_is(template: Float, image: Float, mask: Float) -> Array:
+    """Column, row: mean of the template's points under the mask, weighted by what they add to the correlation."""
+    seen = mask > 0.0
+    product = np.where(seen, (template - template[seen].mean()) * (image - image[seen].mean()), 0.0).clip(0.0)
+    rows, columns = np.indices(template.shape)
+    total = float(product.sum())
+    return np.array([float((columns * product).sum()), float((rows * product).sum())]) / total
