@@ -2,4 +2,4 @@
 
 
 class CalibrationError(ValueError):
-    """A file, a recording or a set of images that cannot be used; the text is one line for the person who made it."""
+    """A file, recording or set of images that cannot be used; the text is one line for a person."""

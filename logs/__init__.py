@@ -1,4 +1,4 @@
-"""Flights on disk: CDR messages in MCAP files, written, read (torn ones too), imported, and judged.
+"""Flights on disk: CDR messages in MCAP files, written, read, imported and judged. ENU and FLU end in wire/codec.py.
 
-Wire conventions (ENU, FLU) end in wire/codec.py. May import models.
+May import models.
 """

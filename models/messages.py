@@ -1,7 +1,6 @@
-"""What enters and leaves the estimator: immutable records in the estimator's own conventions (NED, FRD, SI, radians).
+"""Messages in and out of the estimator: immutable records in NED, FRD, SI and radians.
 
-`t_ns` is the time of validity, `arrived_ns` the time of arrival, both integer nanoseconds. `topic` names the source; two
-sources of one kind differ by topic only. Conversion from and to the wire (ENU, FLU, CDR) is logs/wire/codec.py's work.
+`t_ns`: time of validity, `arrived_ns`: of arrival; `topic`: the source. The wire (ENU, FLU, CDR) is logs/wire/codec.py's.
 """
 
 import math
@@ -45,8 +44,7 @@ class ReceiverState(IntEnum):
 class GnssFix(msgspec.Struct, frozen=True, eq=False):
     """WGS-84 position of the antenna; alt_m above the ellipsoid.
 
-    covariance_n: (3, 3) m^2 in NED axes, or None where the receiver gives none; status < 0: no fix; state: the receiver's own
-    flags.
+    covariance_n: (3, 3) m^2 in NED, None: not given; status < 0: no fix; state: the receiver's own flags.
     """
 
     t_ns: int
@@ -73,9 +71,8 @@ class GnssVelocity(msgspec.Struct, frozen=True, eq=False):
 class PoseFix(msgspec.Struct, frozen=True, eq=False):
     """Position and attitude of the body in the map frame, from outside.
 
-    covariance: (6, 6), order x y z rx ry rz in NED axes, m^2 and rad^2; the rotation part is the error about the axes of n,
-    R_true = exp(dtheta_n) @ R_measured. A variance >= 9e4 m^2 or >= 10 rad^2, NaN or negative means "not given".
-    covariance_common: the part of the error that repeats from fix to fix (map, rig), same layout, in addition to covariance.
+    covariance: (6, 6), x y z rx ry rz in NED, m^2 and rad^2, R_true = exp(dtheta_n) @ R_measured; a variance >= 9e4 m^2 or
+    >= 10 rad^2, NaN or negative: not given. covariance_common: the systematic part (map, rig), in addition.
     """
 
     t_ns: int
@@ -88,20 +85,17 @@ class PoseFix(msgspec.Struct, frozen=True, eq=False):
 
 
 class LandmarkFix(msgspec.Struct, frozen=True, eq=False):
-    """A PoseFix made by our own vision, with what it rests on.
+    """A PoseFix of our own vision.
 
-    landmarks: identifiers in the map; similarity: 0..1, the thesis' eq. 5.5; residual_px: RMS of the outline fit.
-    What makes up covariance_common, where it is known: landmark_errors (m, 6, k), how the pose is moved by k errors of each of
-    the m landmarks, of variance 1 and its own; covariance_rig (6, 6), the rest, which is the rig's.
+    landmarks: identifiers; similarity: 0..1 (thesis eq. 5.5); residual_px: RMS of the outline fit. Where it is known,
+    landmark_errors (m, 6, k) = L_j: effect of k errors of variance 1 of each landmark; covariance_rig (6, 6):
 
         covariance_common = sum_j L_j L_j^T + covariance_rig
 
-    directions: D (r, 6), the combinations of pose error xi = (dp_n, dtheta_n) that were measured, None where the pose itself was;
-    readings: y (r,) m, their readings from the reported pose, the optimum of prior and observation:
+    directions: D (r, 6), combinations of xi = (dp_n, dtheta_n) that were measured, rows orthonormal where a radian counts as
+    RADIAN_M; None: the pose. readings: y (r,) m from the reported pose:
 
         D (x_true (-) x_fix) = y + v,   v ~ N(0, D (covariance + covariance_common) D^T)
-
-    The rows are orthonormal where a radian counts as RADIAN_M metres. Across them the covariances count for nothing.
     """
 
     t_ns: int
@@ -128,10 +122,9 @@ class ImageName(msgspec.Struct, frozen=True):
 
 
 class VisionRequest(msgspec.Struct, frozen=True, eq=False):
-    """Look for landmarks in these images, taken at t_ns, with the pose estimate as prior.
+    """A search for landmarks in the images of t_ns, with the pose estimate as prior.
 
-    covariance: (6, 6), x y z rx ry rz in NED axes, as PoseFix; left, right: None where that camera gave none; run: of vision,
-    which begins each without memory of earlier images.
+    covariance: (6, 6) as PoseFix; left, right: None where that camera gave none; run: of the vision process.
     """
 
     t_ns: int
@@ -145,10 +138,10 @@ class VisionRequest(msgspec.Struct, frozen=True, eq=False):
 
 
 class OdometryRequest(msgspec.Struct, frozen=True, eq=False):
-    """Measure the motion from t0_ns to t_ns in these four images; the answer follows from this and the images alone.
+    """A request for the motion from t0_ns to t_ns in four images.
 
-    dp_b, dq_wxyz, covariance: the predicted motion, as in OdometryDelta. first, second: left and right image, None where that
-    camera gave none. down_b: unit vector downwards in the body at t0; height_m above the ground, 1-sigma; 0: not known.
+    dp_b, dq_wxyz, covariance: predicted motion as in OdometryDelta; first, second: left and right image, or None; down_b: unit
+    vector downwards in the body at t0; height_m above the ground, 1-sigma; 0: not known.
     """
 
     t_ns: int
@@ -165,10 +158,9 @@ class OdometryRequest(msgspec.Struct, frozen=True, eq=False):
 
 
 class Reading(msgspec.Struct, frozen=True, eq=False):
-    """What one of the optional sensors read.
+    """A reading of an optional sensor.
 
-    kind: which sensor, the name of its section and of its key in [inputs]; values: (k,), SI and body axes (FRD), in the order of
-    its entry in logs/wire/sensors.py; covariance: (k, k) or None where the sensor gives none.
+    kind: its section and key in [inputs]; values: (k,) SI, FRD, in the order of logs/wire/sensors.py; covariance: (k, k) or None.
     """
 
     t_ns: int
@@ -180,14 +172,12 @@ class Reading(msgspec.Struct, frozen=True, eq=False):
 
 
 class OdometryDelta(msgspec.Struct, frozen=True, eq=False):
-    """How the body moved from t0_ns to t_ns, as cameras or wheels measured it, without a place on the map.
+    """Motion of the body from t0_ns to t_ns, by cameras or wheels.
 
-    dp_b = R_0^T (p_1 - p_0), m, in the body at t0; dq_wxyz: R_01 = R_0^T R_1, x_b0 = R_01 x_b1.
-    covariance: (6, 6), of dp_b and of theta, R_01,true = R_01 exp(theta), the error about the axes of the body at t1; m^2, rad^2.
-    It is new in each increment. A variance >= 9e4 m^2 or >= 10 rad^2, NaN or negative means that the component is "not given".
-    systematic: J (6, k), how the measured (dp_b, theta) is moved by k errors s of variance 1 that stay with the rig (disparity
-    bias, scale): dp = dp_true + J_p s, R_01 = R_01,true exp(J_theta s). They are estimated. None: a scale of dp_b, as configured.
-    epoch: of the source; what is known of those errors holds within one. The next increment begins where this one ends, or later.
+    dp_b = R_0^T (p_1 - p_0), m; dq_wxyz: R_01 = R_0^T R_1. covariance: (6, 6) of dp_b and theta, R_01,true = R_01 exp(theta),
+    new in each increment, "not given" as in PoseFix. systematic: J (6, k), effect of k errors s of variance 1 that stay with
+    the rig:
+    dp = dp_true + J_p s, R_01 = R_01,true exp(J_theta s); None: a scale of dp_b. epoch: within one these errors stay the same.
     """
 
     t_ns: int
@@ -202,10 +192,7 @@ class OdometryDelta(msgspec.Struct, frozen=True, eq=False):
 
 
 class OdometryPose(msgspec.Struct, frozen=True, eq=False):
-    """Pose of the body in the frame of an odometry, which lies anywhere and drifts: only its differences within a frame count.
-
-    p_o, q_ob_wxyz: x_o = R_ob x_b + p_o; frame: its name; another one begins where the odometry has started again or jumped.
-    """
+    """Pose of the body in the drifting frame of an odometry: x_o = R_ob x_b + p_o; another frame name begins where it jumped."""
 
     t_ns: int
     arrived_ns: int
@@ -216,10 +203,7 @@ class OdometryPose(msgspec.Struct, frozen=True, eq=False):
 
 
 class AttitudePrior(msgspec.Struct, frozen=True, eq=False):
-    """Attitude of the body as another estimator has it, to begin the alignment with; never fused in flight.
-
-    covariance: (3, 3) rad^2, of the error about the axes of n, as in PoseFix.
-    """
+    """Attitude by another estimator, for the alignment only; covariance: (3, 3) rad^2 about the axes of n, as in PoseFix."""
 
     t_ns: int
     arrived_ns: int
@@ -237,10 +221,7 @@ class Tick(msgspec.Struct, frozen=True, eq=False):
 
 
 class Checkpoint(msgspec.Struct, frozen=True, eq=False):
-    """Where an earlier run of the estimator was interrupted, for the next one to go on from; the first message, or refused.
-
-    nav, covariance, last_absolute_ns, reset_counter and origin as in Estimate, last_gnss as in Health.
-    """
+    """State of an earlier run to continue from; the first message, or refused. Fields as in Estimate; last_gnss as in Health."""
 
     t_ns: int
     arrived_ns: int
@@ -315,10 +296,9 @@ class Reason(StrEnum):
 
 
 class AidStatus(msgspec.Struct, frozen=True, eq=False):
-    """What became of one measurement. Sent once, and again with a higher revision when the decision changes.
+    """Decision on one measurement; sent again with a higher revision when the decision changes.
 
-    innovation, innovation_sigma: of the given components, in the measurement's own units (of a fix in part: metres along its
-    directions), as many as degrees of freedom; test_ratio: squared Mahalanobis distance / gate (<= 1 passes); delay_s: arrival -
+    innovation, innovation_sigma: of the given components; test_ratio: squared Mahalanobis distance / gate; delay_s: arrival -
     validity; replayed: IMU samples processed again for it.
     """
 
@@ -339,9 +319,8 @@ class AidStatus(msgspec.Struct, frozen=True, eq=False):
 class Estimate(msgspec.Struct, frozen=True, eq=False):
     """The state with everything of t <= t_ns that has arrived.
 
-    nav: (16,) packed NavState (models/state.py, X); covariance: (15, 15) of the error state (E); gyro_b: angular rate with
-    the bias taken out, rad/s; reset_counter: jumps of the estimate so far (each is reported by a Reset, but for
-    a new start, whose size is not known).
+    nav: (16,) packed NavState (X); covariance: (15, 15) of the error state (E); gyro_b: rate less bias, rad/s; reset_counter:
+    jumps.
     """
 
     t_ns: int
@@ -367,11 +346,10 @@ class Reset(msgspec.Struct, frozen=True, eq=False):
 
 
 class VisionReport(msgspec.Struct, frozen=True, eq=False):
-    """Why one stereo pair gave a fix, or why not.
+    """Result of one stereo pair, with the reason.
 
-    outcome: fixed, or the stage that ended it (no_image, no_landmark_near, no_region, no_candidate, ambiguous, no_pose, ...);
-    regions, candidates: found, and similar enough to a landmark; landmarks, similarities: best of each candidate, 0..1;
-    residual_px: RMS of the outline fit, NaN without one.
+    outcome: fixed, or the stage that ended it; regions, candidates: found, and similar enough; landmarks, similarities: best of
+    each candidate, 0..1; residual_px: RMS of the outline fit, or NaN.
     """
 
     t_ns: int
@@ -397,11 +375,10 @@ class LastGnss(msgspec.Struct, frozen=True, eq=False):
 
 
 class Health(msgspec.Struct, frozen=True, eq=False):
-    """The estimator about itself, 1-10 Hz.
+    """State of the estimator, 1-10 Hz.
 
-    biases: of the IMU in body axes (FRD), gyro_x ... accel_z in rad/s and m/s^2, each with its standard deviation (gyro_x_sigma);
-    where wind is estimated also its wind_north and wind_east, m/s, whereto it blows. weights: ln, of the hypotheses beside the
-    leading one, by what they assume.
+    biases: gyro_x ... accel_z (FRD, rad/s, m/s^2) and *_sigma, wind_north, wind_east (m/s) where estimated; weights: ln, of the
+    hypotheses beside the leading one, by their assumption.
     """
 
     t_ns: int
@@ -431,11 +408,10 @@ class Alert(StrEnum):
 
 
 class Integrity(msgspec.Struct, frozen=True, eq=False):
-    """How far off the position may be at a stated risk, and what follows for its use.
+    """Protection levels at a stated risk, and the state that follows.
 
-    hpl_m, vpl_m: horizontal and vertical protection level at risk_per_hour, inf where nothing bounds the error; hal_m, val_m:
-    alert limits, inf: none; risks_per_hour and hpls_m, vpls_m: the same at fixed risks; sigma_h_m, sigma_v_m: of the Gaussian
-    that has the protection levels of the first of them (horizontal: per axis); reason: of a state other than usable.
+    hpl_m, vpl_m: at risk_per_hour, inf: unbounded; hal_m, val_m: alert limits, inf: none; risks_per_hour, hpls_m, vpls_m: at
+    fixed risks; sigma_h_m, sigma_v_m: of the Gaussian with the first of them; reason: of a state other than usable.
     """
 
     t_ns: int

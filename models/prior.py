@@ -10,7 +10,7 @@ from models.messages import Array
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Pose estimate before the images: p_n [m], q_nb_wxyz, covariance (6, 6) order x y z rx ry rz about the axes of n (NED)."""
+    """Pose before the images: p_n [m], q_nb_wxyz, covariance (6, 6), x y z rx ry rz about the axes of n."""
 
     p_n: Array
     q_nb_wxyz: Array

@@ -1,4 +1,4 @@
-"""How far off a position may be, in one number: the circle that holds an error in a plane, the reach of an ellipsoid in space."""
+"""Radius of the circle, and reach of the ellipsoid, that hold an error with a probability."""
 
 import math
 from functools import cache
@@ -14,12 +14,12 @@ _ANGLES: Final = 64
 
 
 def horizontal_radius(covariance: Array, probability: float = 0.95) -> Array:
-    """Radius r [m] of the circle that holds a horizontal error of covariance (n, 2, 2) with the probability given, (n,).
+    """Radius r [m] (n,) of the circle that holds a horizontal error of covariance (n, 2, 2) with the probability; nan: not
+    finite.
 
         P(x^2 + y^2 > r^2) = 1/2pi int_0^2pi exp( -r^2 / (2 (s1^2 cos^2 a + s2^2 sin^2 a)) ) da = 1 - probability
 
-    with x ~ N(0, s1^2), y ~ N(0, s2^2), s1 >= s2 the semi-axes: the density in polar coordinates, integrated over the radius,
-    with tan(a) = s1 / s2 tan(angle). 1.960 s1 for a line, 2.448 s for a circle (at 95 %). nan where the covariance is not finite.
+    s1 >= s2: semi-axes; in polar coordinates with tan(a) = s1 / s2 tan(angle).
     """
     radius = np.full(len(covariance), np.nan)
     finite = np.isfinite(covariance).all(axis=(1, 2))
@@ -31,11 +31,9 @@ def horizontal_radius(covariance: Array, probability: float = 0.95) -> Array:
 
 
 def reach(covariance: Array, probability: float = 0.95) -> float:
-    """Longest half axis [m] of the ellipsoid that holds an error of covariance (3, 3) with the probability given.
+    """Longest half axis [m] of the ellipsoid that holds an error of covariance (3, 3) with the probability; nan: not finite.
 
-        r = sqrt( q max eig(P) ),    P(chi^2_3 < q) = probability
-
-    nan where the covariance is not finite.
+    r = sqrt( q max eig(P) ),    P(chi^2_3 < q) = probability
     """
     if not np.isfinite(covariance).all():
         return math.nan

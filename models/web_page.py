@@ -1,6 +1,5 @@
-"""A page of HTML that stands alone: nothing is fetched, it follows the reader's light or dark scheme, it prints.
-
-Whatever text goes in comes out as text: markup in it is shown, not obeyed, and the page's own policy forbids any script but ours.
+"""A page of HTML that stands alone, in the reader's light or dark scheme; all text is escaped, and its policy forbids foreign
+scripts.
 """
 
 import base64

@@ -126,7 +126,7 @@ def size_seen(image: Image, board: Board) -> tuple[int, int] | Why | None:
 
 
 def size_around(image: Image, board: Board) -> tuple[int, int] | None:
-    """The inner corners of the larger chessboard that a board found in an image is a part of; None where there is none."""
+    """The inner corners of the larger chessboard of which the found board is a part; None: none."""
     grey_image, size = grey(image), board.size
     larger: tuple[int, int] | None = size
     while larger is not None and board.marker_m == 0.0:
@@ -170,10 +170,9 @@ def _find_charuco(grey_image: Grey, board: Board) -> tuple[NDArray[np.int64], Ar
 
 
 def _turned(grey_image: Grey, px: Array, board: Board) -> bool:
-    """Whether corner 0 is at the wrong end: the square inside corners 0 and columns + 1 is to be the darker kind.
+    """Whether corner 0 is at the wrong end: the square inside corners 0 and columns + 1 must be the darker kind.
 
-    With an odd number of squares between the end corners' own squares the two ends differ in colour; else they look alike and
-    the two ends are ambiguous (stereo then compares the two images, camera-imu one with the next).
+    With an even number of squares between the ends both look alike; stereo and camera-imu then compare images.
     """
     if board.ends_alike:
         return False

@@ -1,17 +1,11 @@
-"""Corners of a chessboard to a part of a pixel, from where they roughly are; size: inner corners, columns and rows.
+"""Corners of a chessboard to a part of a pixel, from rough ones; size: inner corners, columns and rows.
 
-The window of the refinement follows the local size of the squares and ends at the image's border. A corner that left its
-neighbours' pattern is put back and refined again: the first guess may be off by pixels where squares are small. It stays there if
-the image is more of a saddle there: of a wide lens the pattern itself may be wrong.
-
-The refinement takes edges for straight. An edge of curvature kappa, y = kappa x^2 / 2 along and across it, pulls the corner:
+The window follows the local size of the squares. A corner off its neighbours' pattern is put back and refined again, unless the
+image is more of a saddle where it went. Bias by edges of curvature kappa, taken back:
 
     y_refined = -kappa <x^2> / 2,   <x^2> = w^2 (1/2 - L exp(-L^2) / (sqrt(pi) erf(L))),   weights exp(-x^2 / w^2), |x| < L w
 
-which is taken back: 0.02 px at the border of a usual lens, of one sign all round, and so a wrong focal length.
-
-Light that falls off along an edge has a gradient of its own on the edge's bright side, and pulls the corner there; so the image
-is first divided by the light on the board, a quadratic through the middles of its bright squares.
+Bias by light that falls off: the image is first divided by the light on the board, a quadratic through its bright squares.
 """
 
 from typing import Final
@@ -36,7 +30,7 @@ _LIGHT: Final = (0.2, 5.0)  # of its mean on the board: beyond, away from the bo
 
 
 def refined(image: Grey, corners: Array, size: Size) -> Array:
-    """Corners to a part of a pixel; one off the pattern begins again from there, and stays if it is more of a corner there."""
+    """Corners to a part of a pixel; one off the pattern is refined again from there, and stays if it is more of a saddle."""
     even = (image / _light(image, corners, size)).astype(np.float32)
     smooth = np.asarray(cv2.GaussianBlur(even, (0, 0), _SMOOTHING_PX), dtype=np.float32)
     windows = _windows(image, corners, _FIRST_WINDOW * spacing(corners, size))
@@ -50,7 +44,7 @@ def refined(image: Grey, corners: Array, size: Size) -> Array:
 
 
 def _light(image: Grey, px: Array, size: Size) -> Level:
-    """How bright white is at each pixel, over its mean on the board; where squares are few a plane, or alike all over."""
+    """White at each pixel over its mean on the board; with few squares a plane, or constant."""
     middles = middles_of(px, size)
     levels, first = levels_at(image, middles), is_first_kind(size)
     bright = first if levels[first].mean() > levels[~first].mean() else ~first
@@ -88,7 +82,7 @@ def levels_at(image: Grey, px: Array) -> Array:
 
 
 def _saddle(image: Level, px: Array) -> Array:
-    """How much of a chessboard's corner is at px (N, 2): I_xy^2 - I_xx I_yy, near 0 on edges and where nothing is."""
+    """I_xy^2 - I_xx I_yy at px (N, 2): large at a chessboard's corner, near 0 on edges."""
     xx, yy, xy = (cv2.Sobel(image, cv2.CV_64F, i, j, ksize=5) for i, j in ((2, 0), (0, 2), (1, 1)))
     u, v = np.clip(np.rint(px), 0, np.array(image.shape[::-1]) - 1).astype(np.int64).T
     return np.asarray((xy * xy - xx * yy)[v, u])

@@ -1,4 +1,5 @@
-"""One camera, a stereo rig, a camera against surveyed points: first estimate, bundle adjustment, covariance.
+"""One camera, a stereo rig, a camera against surveyed points: estimate, bundle adjustment, covariance. Begin with `mono` and
+`stereo`.
 
-Begin with `mono` and `stereo`. May import calib.board, calib.files and calib.errors, vision and models.
+May import calib.board, calib.files and calib.errors, vision and models.
 """

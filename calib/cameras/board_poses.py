@@ -21,9 +21,9 @@ _OUTLIER: Final = 5.0  # times the residual of the middle view
 
 @dataclass(frozen=True)
 class BoardPoses:
-    """R_co (M, 3, 3), t_co (M, 3), covariance (M, 6, 6) of (t, rotation about the axes of c) from noise of the corners sigma_px.
+    """R_co (M, 3, 3), t_co (M, 3), covariance (M, 6, 6) of (t, rotation about the axes of c) by noise of the corners, sigma_px.
 
-    by_lens (M, 6, k): what an error of the lens' parameters does to a pose; lens_covariance (k, k) of those, None = exact.
+    by_lens (M, 6, k): derivative of a pose by the lens' parameters; lens_covariance (k, k), None = exact.
     """
 
     R_co: Array
@@ -46,7 +46,7 @@ class BoardPoses:
 
 
 def read_from_one_end(views: Sequence[View], board: Board) -> list[View]:
-    """Views in order of time; of a board that looks the same upside down each is read from the end that the one before was."""
+    """Views in order of time; a board that looks the same upside down is read from the same end as in the view before."""
     if not board.ends_alike:
         return list(views)
     same = [views[0]]
@@ -59,10 +59,7 @@ def read_from_one_end(views: Sequence[View], board: Board) -> list[View]:
 def board_poses(
     views: Sequence[View], board: Board, camera: CameraModel, progress: Callable[[float], None] | None = None
 ) -> tuple[BoardPoses, NDArray[np.int64]]:
-    """Poses by least squares, and which views they are of; the noise of the corners is what all views leave together.
-
-    A view whose corners fit far worse than the others' is left out: what was found in it was not the board.
-    """
+    """Poses by least squares, and their views; a view whose corners fit far worse than the others' is left out."""
     report = progress or (lambda _: None)
     solved: list[tuple[int, Solution]] = []
     for k, view in enumerate(views):

@@ -2,12 +2,10 @@
 
     x_1 = R x_o + t,   x_k = R_k x_1 + t_k,   px = pi_k(x_k) + e        (o = board, 1 = first camera)
 
-Shared unknowns s: each camera's (fx fy cx cy *distortion), then for each further camera (t_k, rotation). Own to a view: (t,
-rotation). Rotations are corrected about the axes of the frame they lead to, R <- exp(dtheta) R. The views are eliminated:
+Shared unknowns s: (fx fy cx cy *distortion) of each camera, then (t_k, rotation) of each further one; per view (t, rotation),
+R <- exp(dtheta) R. The views are eliminated; the covariance is sigma^2 H^-1, more where corners err together (covariance.py):
 
     H = sum J_s^T J_s - J_s^T J_v (J_v^T J_v)^-1 J_v^T J_s
-
-Their covariance is sigma^2 H^-1, and more where corners err together: covariance.py.
 """
 
 from collections.abc import Sequence
@@ -67,9 +65,9 @@ def rotation_vector(R: Array) -> Array:
 
 @dataclass(frozen=True)
 class Problem:
-    """cameras and where they are (places[0] = IDENTITY), `views[i][k]`: what camera k sees in view i, poses[i]: the board in it.
+    """cameras and their places (places[0] = IDENTITY), `views[i][k]`: corners of camera k in view i, poses[i]: the board in it.
 
-    free: which of a camera's parameters are estimated, one row for each camera; () = none, nor the places.
+    free: estimated parameters, one row a camera; (): none, nor the places.
     """
 
     cameras: tuple[CameraModel, ...]
@@ -95,8 +93,8 @@ class Problem:
 class Solution:
     """The adjusted problem; `residuals[i][k]` (N, 2) measured minus predicted [px]; covariance of all shared unknowns (fixed: 0).
 
-    rms: of the lengths of the residuals; widened: mean factor on the variances for errors that a view has in common;
-    bow: by how much of its length the board is bowed, 0 where that is not seen.
+    rms: of the residuals' lengths; widened: mean factor on the variances for errors common to a view; bow: of the board, over
+    its length.
     """
 
     problem: Problem
@@ -121,10 +119,7 @@ class Solution:
 
 
 def adjust(problem: Problem) -> Solution:
-    """The least squares solution by Levenberg-Marquardt; starts from the problem's own cameras, places and poses.
-
-    Raises CalibrationError where the start does not see the corners at all.
-    """
+    """The least squares solution by Levenberg-Marquardt from the problem's own values. Raises CalibrationError."""
     mask, damping = problem.mask, 1e-3
     terms = [_terms(problem, i, mask) for i in range(len(problem.views))]
     cost = sum(float(t.r @ t.r) for t in terms)
@@ -148,7 +143,7 @@ def adjust(problem: Problem) -> Solution:
 
 
 class _Terms(NamedTuple):
-    """Residual (M,) of a view, its derivatives by the free shared unknowns (M, m), the view's pose (M, 6), the bow (M, 3)."""
+    """Residual (M,) of a view, derivatives by the free shared unknowns (M, m), the view's pose (M, 6), the bow (M, 3)."""
 
     r: Array
     J_s: Array
@@ -186,10 +181,9 @@ def _bow_modes(x_o: Array) -> Array:
 
 
 def _reduced(t: _Terms, damping: float) -> tuple[Array, Array, Array, Array]:
-    """A view's part of H and of the gradient after its pose is eliminated, and (B, b): its pose moves by b - B ds.
+    """A view's part of H and of the gradient with its pose eliminated, and (B, b): its pose moves by b - B ds.
 
-    (J_s r) loses what lies along J_v = Q R; damping is rows sqrt(damping) |J_v| below it. What is left times itself is H and the
-    gradient: never negative, as the difference of the docstring above may be where a lens is nearly undetermined.
+    (J_s r) loses its part along J_v = Q R; damping is rows sqrt(damping) |J_v| below. The product with itself is never negative.
     """
     damped = np.vstack((t.J_v, np.diag(np.sqrt(damping) * np.linalg.norm(t.J_v, axis=0))))
     Q, R = np.linalg.qr(damped)

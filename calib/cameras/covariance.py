@@ -1,18 +1,14 @@
-"""Covariance of a bundle adjustment's shared unknowns s where corners err together: within a view, or alike in all views.
+"""Covariance of a bundle adjustment's shared unknowns s where corners err together, within a view or alike in all views.
 
-    C = sigma^2 H^-1,   sigma^2 = r^T r / redundancy,   H = sum H_i over the views, their poses eliminated (bundle.py)
+    C = sigma^2 H^-1,   sigma^2 = r^T r / redundancy,   H = sum H_i over the views      (independent errors)
 
-is right while errors of corners are independent. A board that bends or moves makes those of a view agree. In units in which H
-is I, s = W z with W^T H W = I, a view's gradient g_i holds the error that its corners share (Bell & McCaffrey 2002):
+With s = W z, W^T H W = I, a view's gradient g_i holds the error its corners share (Bell & McCaffrey 2002):
 
-    y_i = (I - M_i)^-1/2 W^T g_i,   M_i = W^T H_i W,   E[y_i y_i^T] = sigma^2 M_i while errors are independent,   sum M_i = I
+    y_i = (I - M_i)^-1/2 W^T g_i,   M_i = W^T H_i W,   E[y_i y_i^T] = sigma^2 M_i for independent errors,   sum M_i = I
     f = sum |y_i|^2 / (m sigma^2),   sum y_i y_i^T = f sigma^2 V diag(lambda) V^T
 
-f is known well; direction by direction n views tell little. So C is widened by f, and by lambda along the directions in which
-that is more than 1: errors in common move some parameters more than others.
-
-A board bowed alike in all views, z_o = b_1 x^2 + b_2 x y + b_3 y^2, is not seen by leaving views out. So b is estimated in one
-more Newton step, and where it is seen, what it does to the solution, d = H^-1 H_sb b, is added: C + d d^T.
+C is widened by f, and by lambda along the directions where that is above 1. A board bowed alike in all views,
+z_o = b_1 x^2 + b_2 x y + b_3 y^2, moves s by d = H^-1 H_sb b; where b is significant, C + d d^T.
 """
 
 from typing import Final, NamedTuple
@@ -49,7 +45,7 @@ def marginal(H_i: Array, g_i: Array, sigma2: float) -> Spread:
 
 
 def _in_common(M_i: Array, g_i: Array) -> tuple[Array, Array]:
-    """y_i (n, m) and the eigenvalues of M_i (n, m, m), from W^T g_i (n, m); 0 along what one view alone determines."""
+    """y_i (n, m) and the eigenvalues of M_i (n, m, m), from W^T g_i (n, m); 0 along directions that one view alone determines."""
     part, axes = np.linalg.eigh(M_i)
     part = np.where(part < _ALONE, np.maximum(part, 0.0), 0.0)
     weight = np.where(part > 0.0, 1.0 / np.sqrt(1.0 - part), 0.0)
@@ -58,7 +54,7 @@ def _in_common(M_i: Array, g_i: Array) -> tuple[Array, Array]:
 
 
 def bowed(H: Array, g: Array, sigma2: float, length_m: float) -> tuple[float, Array]:
-    """The board's bow, as a part of its length, and what it does to s; nothing where it is not seen.
+    """The board's bow over its length, and its effect on s; nothing where it is not significant.
 
     H (m + 3, m + 3), g (m + 3,): normal equations of (s, b); sigma2: variance of a coordinate, widened.
     """
@@ -73,7 +69,7 @@ def bowed(H: Array, g: Array, sigma2: float, length_m: float) -> tuple[float, Ar
 
 
 def _whitening(H: Array) -> Array:
-    """W with W^T H W = I, so that W W^T is the inverse of a normal matrix, its unknowns of different units."""
+    """W with W^T H W = I, for a normal matrix of unknowns of different units."""
     scale = np.sqrt(np.clip(np.diagonal(H), 1e-300, None))
     values, axes = np.linalg.eigh(H / np.outer(scale, scale))
     known = values > 1e-14 * values[-1]

@@ -1,10 +1,10 @@
-"""Photogrammetric calibration: the camera matrix A from points known in space, and what it is made of (thesis 3.5, 3.6).
+"""Photogrammetric calibration: the camera matrix A from points known in space, and its parts (thesis 3.5, 3.6).
 
     u (a41 X + a42 Y + a43 Z + a44) = a11 X + a12 Y + a13 Z + a14,   v (...) = a21 X + ... + a24       (thesis eq. 3.36-3.46)
     D F = R,   F = (D^T D)^-1 D^T R   with a44 = 1                                                      (eq. 3.49-3.51)
-    A ~ K [R_co | t_co],   camera location p_o = -R_co^T t_co = where the rays of all pixels meet       (eq. 3.74-3.77)
+    A ~ K [R_co | t_co],   camera location p_o = -R_co^T t_co                                           (eq. 3.74-3.77)
 
-The third row of A is written a41 ... a44, as the thesis does. Abdel-Aziz and Karara 1971.
+The third row of A is a41 ... a44 as in the thesis (Abdel-Aziz and Karara 1971).
 """
 
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ class Decomposition:
 def camera_matrix(x_o: Array, px: Array) -> Array:
     """A (3, 4) with A[2, 3] = 1 from points x_o (N, 3) [m] at pixels px (N, 2), N >= 6, not in one plane.
 
-    Raises CalibrationError. A camera in the plane a41 X + a42 Y + a43 Z = 0 through the origin has a44 = 0: move the origin.
+    Raises CalibrationError, also for a camera in the plane a41 X + a42 Y + a43 Z = 0 through the origin (a44 = 0).
     """
     if len(x_o) != len(px) or len(x_o) < _FEWEST:
         raise CalibrationError(f"{len(x_o)} points in space and {len(px)} in the image; {_FEWEST} or more of each are needed")

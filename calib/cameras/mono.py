@@ -1,7 +1,6 @@
-"""One camera from views of a board: Zhang's plane-based calibration (thesis eq. 3.52-3.72), then bundle adjustment.
+"""One camera from views of a board: Zhang's plane-based calibration (thesis eq. 3.52-3.72, OpenCV's), then our bundle adjustment.
 
-Zhang's closed form and first adjustment are OpenCV's; the adjustment is repeated by ours, which gives the whole covariance.
-A view that fits far worse than the others is dropped; views left out tell how well the camera predicts what it has not seen.
+A view that fits far worse than the others is dropped; views left out test the prediction.
 """
 
 from collections.abc import Callable, Sequence
@@ -53,9 +52,8 @@ class Dropped:
 
 
 class HeldOut(NamedTuple):
-    """Views that had no part in a calibration: rms [px] of those that it predicts (nan: none), and which part lies beyond it.
-
-    beyond: 0 to 1, of the views: the lens model folds before their corners, so that it cannot have made them.
+    """Views without a part in a calibration: rms [px] of those that it predicts (nan: none); beyond: share of the views before
+    whose corners the lens model folds.
     """
 
     rms: float
@@ -149,11 +147,7 @@ def without_outliers(problem: Problem, names: Sequence[str]) -> tuple[Solution, 
 
 
 def cross_validate(solution: Solution) -> tuple[HeldOut, Array]:
-    """How views that had no part in the calibration fit, over folds, and how far fx fy cx cy move between folds [sigma].
-
-    Leaving out 1/F of the views changes an estimate by sigma / sqrt(F - 1) when the reported sigma is right; the change is
-    returned in units of that.
-    """
+    """Fit of views left out, over F folds, and the change of fx fy cx cy between folds in units of sigma / sqrt(F - 1)."""
     problem, views = solution.problem, len(solution.problem.views)
     folds = min(_FOLDS, views)
     sigma = np.sqrt(np.diagonal(solution.covariance)[:4]) / np.sqrt(max(folds - 1, 1))

@@ -28,9 +28,9 @@ def check_sizes(views: Sequence[View], what: str = "images") -> None:
 
 
 def choose(views: Sequence[View], board: Board, count: int = ENOUGH) -> list[int]:
-    """Indices of at most `count` views, farthest first: each differs most from those before; the first is the sharpest.
+    """Indices of at most `count` views, farthest first by the mean distance of corners [image diagonals], beginning with the
+    sharpest.
 
-    Two views differ by the mean distance of their corners [diagonals of the image]. Views alike are left out.
     Raises CalibrationError where fewer than FEWEST differ.
     """
     if len(views) < FEWEST:

@@ -1,7 +1,6 @@
 """Two cameras from pairs of images of a board: x_r = R_rc @ x_c + t_rc (thesis 3.8-3.9, 5.1.3).
 
-Each camera alone first, then both together with the poses between them: one bundle adjustment, whose covariance of t_rc, R_rc
-holds what the lenses leave open. Epipolar geometry of the pair:
+Each camera alone, then one bundle adjustment of both. Epipolar geometry of the pair:
 
     E = [t_rc]x R_rc,   F = K_r^-T E K_l^-1,   (u_r, 1) F (u_l, 1)^T = 0          (thesis eq. 3.96-3.127)
 """
@@ -36,9 +35,9 @@ class Pair(NamedTuple):
 
 @dataclass(frozen=True)
 class Stereo:
-    """A calibrated rig. Distances [px] of corners from the epipolar line of their partner: raw images, then rectified rows.
+    """A calibrated rig; distances [px] of corners from the partner's epipolar line: raw, and rectified rows.
 
-    held_out: rectified, of pairs that had no part in the calibration; square_m: mean triangulated side of the board's squares.
+    held_out: rectified, of pairs left out; square_m: mean triangulated side of the board's squares.
     """
 
     rig: StereoRig

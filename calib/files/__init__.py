@@ -1,4 +1,4 @@
-"""Rigs on disk: our YAML, and OpenCV's, Kalibr's and ROS' formats, read and written.
+"""Rigs on disk: our YAML, and OpenCV's, Kalibr's and ROS' formats. Begin with `formats` and `rig_yaml`.
 
-Begin with `formats` (any of them) and `rig_yaml`. May import calib.errors and models.
+May import calib.errors and models.
 """

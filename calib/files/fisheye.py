@@ -1,9 +1,8 @@
-"""Fisheye lenses: the equidistant model of a file or an estimate is replaced by the rational one that equals it in the image.
+"""Fisheye lenses: the equidistant model is replaced by the rational one that equals it in the image (below 90 degrees off the
+axis).
 
     r_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8),  theta = atan r    (Kannala & Brandt 2006)
     ~ r (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6)
-
-so that the rest of the program has one camera model. Lenses that see 90 degrees aside or more have no place in it.
 """
 
 import numpy as np

@@ -1,7 +1,6 @@
-"""Rig and camera files: ours (rig.yaml, versioned, with covariances), OpenCV XML/YAML, ROS camera_info, Kalibr camchain.
+"""Rig and camera files: ours (rig.yaml), OpenCV XML/YAML, ROS camera_info, Kalibr camchain; the content decides the format.
 
-The form of a file follows from its content, not its name:  load_rig(path) -> StereoRig,  load_camera(path) -> CameraModel.
-A file that cannot be used raises CalibrationError with one line that says what is wrong.
+load_rig(path) -> StereoRig,  load_camera(path) -> CameraModel; both raise CalibrationError.
 """
 
 from enum import StrEnum
@@ -51,10 +50,10 @@ class Format(StrEnum):
 
 
 def load_rig(path: str | Path) -> StereoRig:
-    """A stereo rig from any of the formats; of ROS camera_info either of the two files NAME_left.yaml, NAME_right.yaml.
+    """A stereo rig from any of the formats; of ROS camera_info either of NAME_left.yaml, NAME_right.yaml. Raises
+    CalibrationError.
 
-    A file that does not say where the cameras sit on the body gets a forward-looking camera at the IMU whose covariance
-    is "not given" (rig_yaml.UNKNOWN_POSE). Raises CalibrationError, for a file of one camera as well.
+    Without a pose on the body it is a forward-looking camera at the IMU with covariance "not given" (rig_yaml.UNKNOWN_POSE).
     """
     rig = load_cameras(path)
     if rig.one_camera:
@@ -63,9 +62,8 @@ def load_rig(path: str | Path) -> StereoRig:
 
 
 def load_cameras(path: str | Path, mount: BodyPose | None = None) -> StereoRig:
-    """A stereo rig, or one camera that says where it sits on the body (body_from_camera); mount replaces what the file says.
-
-    Raises CalibrationError.
+    """A stereo rig, or one camera with its pose on the body (body_from_camera); mount replaces the file's. Raises
+    CalibrationError.
     """
     path = Path(path)
     text = _read(path)
@@ -127,7 +125,7 @@ def save_camera(path: str | Path, camera: CameraModel, form: Format | None = Non
 
 
 def save_mounted(path: str | Path, rig: StereoRig) -> list[Path]:
-    """Write the one camera of a rig and where it sits on the body, in our form, the only one that has a place for it."""
+    """Write the one camera of a rig with its pose on the body, in our form."""
     path = Path(path)
     if _form_of(path) is not Format.LANDFIX:
         raise CalibrationError(f"{path}: a camera with --mount is written as .yaml only")

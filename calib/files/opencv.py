@@ -1,4 +1,4 @@
-"""OpenCV FileStorage, XML or YAML, with the names that OpenCV's own programs use, and our covariances next to them.
+"""OpenCV FileStorage, XML or YAML, with OpenCV's own names, and our covariances next to them.
 
 One camera: image_width, image_height, camera_matrix, distortion_coefficients, [covariance].
 A rig: image_width, image_height, M1, D1, M2, D2, R, T (x_r = R @ x_c + T, metres), [covariance_M1, covariance_M2,
@@ -68,7 +68,7 @@ def camera_text(camera: CameraModel, xml: bool) -> str:
 
 
 def rig_text(rig: StereoRig, xml: bool) -> str:
-    """A rig as a FileStorage text, with R1 R2 P1 P2 Q F E as OpenCV's programs expect them next to R and T."""
+    """A rig as a FileStorage text, with R1 R2 P1 P2 Q F E beside R and T."""
     storage = _new(rig.left, xml)
     _put_camera(storage, rig.left, "M1", "D1", "covariance_M1")
     _put_camera(storage, rig.right, "M2", "D2", "covariance_M2")

@@ -1,4 +1,4 @@
-"""The IMU: noise and walk at rest (Allan deviation), scale and misalignment, and its place on the camera.
+"""The IMU: Allan deviation at rest, scale and misalignment, and its pose on the camera. Begin with `imu` and `camera_imu`.
 
-Begin with `imu` and `camera_imu`. May import calib.report and what is below it.
+May import calib.report and the layers below it.
 """

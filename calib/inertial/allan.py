@@ -3,12 +3,9 @@
     sigma^2(tau) = 1 / (2 (K - 2m)) sum_k ((theta_{k+2m} - 2 theta_{k+m} + theta_k) / tau)^2      (overlapping, tau = m h)
     sigma^2(tau) = N^2 / tau + (2 ln 2 / pi) B^2 + K^2 tau / 3              (IEEE Std 952-1997, annex C)
 
-with theta the integrated signal, N the noise density [unit / sqrt(Hz)], B the bias instability, K the random walk
-[unit / s / sqrt(Hz)]. N and K have the units of the configuration: [imu] gyro_noise, accel_noise, gyro_walk, accel_walk.
-
-At short times a recording is often not white: the IMU or its autopilot smoothed it (the curve lies low), or something hummed (a
-hump that falls with 1 / tau). The curve is fitted from the shortest time on from which it is of the three kinds above. Where it
-never is, N is the density at the longest time, sigma(tau) sqrt(tau), and nothing is said of B and K.
+theta: the integrated signal; N: noise density [unit / sqrt(Hz)], B: bias instability, K: random walk [unit / s / sqrt(Hz)], as
+[imu] gyro_noise, accel_noise, gyro_walk, accel_walk. The curve is fitted from the shortest time on from which it has this form.
+Where it never has, N is sigma(tau) sqrt(tau) at the longest time, without B and K.
 """
 
 from dataclasses import dataclass
@@ -30,9 +27,8 @@ _INSTABILITY = 2.0 * np.log(2.0) / np.pi
 
 @dataclass(frozen=True)
 class Noise:
-    """One axis: density N, instability B, walk K with their standard deviations; tau_s and adev: the curve.
-
-    white_from_s: shortest time that was fitted; nan where no part of the curve is of the three kinds: N of the longest time.
+    """One axis: N, B, K with standard deviations; tau_s and adev: the curve; white_from_s: shortest fitted time, nan: N of the
+    longest.
     """
 
     density: float

@@ -2,8 +2,8 @@
 
     min sum_k e_k^T e_k over (p_bc, R_bc, time offset, tilt of the board, gravity)    (Hol 2010)
 
-with e the normalised innovations of a filter that uses them (grey_box.py). Their covariance is (J^T J)^-1, J = de/dtheta,
-times the innovations' mean square where that is above 1, plus what the camera's own covariance does to them.
+e: normalised innovations of a filter (grey_box.py). Covariance: (J^T J)^-1, J = de/dtheta, times the innovations' mean square
+where that is above 1, plus the effect of the camera's own covariance.
 """
 
 from collections.abc import Callable, Sequence
@@ -171,10 +171,7 @@ class _Problem:
 
 
 def first_rotation(imu: Recording, stamps_ns: Times, poses: BoardPoses) -> tuple[Array, float]:
-    """R_bc and time offset from rates alone: gyro = R_bc @ camera rate + bias, best at the offset where their sizes agree most.
-
-    Raises CalibrationError where the camera hardly turned, or about one axis only.
-    """
+    """R_bc and time offset from rates alone: gyro = R_bc @ camera rate + bias. Raises CalibrationError."""
     dt = 1e-9 * np.diff(stamps_ns)
     near = dt < 3.0 * np.median(dt)
     turns = [rotation_vector(a @ b.T) for a, b in zip(poses.R_co[:-1], poses.R_co[1:], strict=True)]

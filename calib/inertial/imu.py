@@ -1,8 +1,6 @@
-"""An IMU from a recording: where it rested, its noise there, and scale and bias of the accelerometer from six positions.
+"""An IMU from a recording: its rest, its noise there, and scale and bias of the accelerometer from six positions.
 
-    |S^-1 (f_k - b)| = g,   S = diag(s),   for the mean specific force f_k of each position k   (Skog & Haendel 2006)
-
-needs no exact directions, only that each axis has pointed up and down.
+|S^-1 (f_k - b)| = g,   S = diag(s),   for the mean specific force f_k of each position k   (Skog & Haendel 2006)
 """
 
 from collections.abc import Sequence
@@ -112,7 +110,7 @@ def static_noise(t_ns: NDArray[np.int64], gyro: Array, accel: Array) -> Static:
 
 
 def _evenly(t_ns: NDArray[np.int64], rate: float) -> NDArray[np.int64]:
-    """Index of the sample nearest to each tick of an even clock; to interpolate would smooth the noise that is to be measured."""
+    """Index of the sample nearest to each tick of an even clock (interpolation would smooth the noise)."""
     since = 1e-9 * (t_ns - t_ns[0])  # small numbers: a float of the epoch's nanoseconds is good to 256 of them
     ticks = np.arange(int(since[-1] * rate) + 1) / rate
     return np.searchsorted(0.5 * (since[1:] + since[:-1]), ticks)

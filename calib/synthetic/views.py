@@ -1,7 +1,6 @@
-"""Images and views of a board by a known camera, for tests and benchmarks: what calibration must give back.
+"""Images and views of a board by a known camera: x_o = R_oc (x_c - t), the colour of the square there.
 
-Each pixel's ray meets the board's plane, x_o = R_oc (x_c - t), and takes the colour of the square there. A pixel that an edge
-crosses takes the mean of 55 rays on a Fibonacci lattice: on a square grid of rays an edge along the pixels would stand in steps.
+A pixel across an edge takes the mean of 55 rays on a Fibonacci lattice.
 """
 
 from collections.abc import Sequence

@@ -1,8 +1,4 @@
-"""What `landfix run` prints: one line each for what it listens on, records, waits for, and for changes of mode.
-
-Lines go to stderr on a thread of their own: a terminal that is stopped (Ctrl-S) or a pipe that nobody reads must not make the
-loop wait. Lines that wait too long are dropped.
-"""
+"""The lines of `landfix run` on stderr, by a thread of its own; lines that wait too long are dropped."""
 
 import contextlib
 import os

@@ -1,8 +1,7 @@
-"""The loop: one message after the other through Fusion.handle, its outputs to the links and the log.
+"""The loop: one message after the other through Fusion.handle, outputs to the links and the log.
 
-Everything else (links, log, state file) has threads of its own and never makes the loop wait, and what a late fix changes is
-worked out while no message waits. What the loop gives to Fusion is decoded from the very bytes that are logged, stamps translated
-before, so a replay of the log gives the same, to the bit.
+Links, log and state file have threads of their own; late fixes are worked in while no message waits. Fusion gets the bytes that
+are logged, so a replay gives the same, to the bit.
 """
 
 from collections.abc import Callable, Sequence
@@ -40,11 +39,7 @@ class ServiceConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Daemon:
-    """The loop and what it drives.
-
-    alive(): called at every tick while estimates, or a known reason for none, come out; for the watchdog. watchers: called with
-    every output.
-    """
+    """The loop; alive(): at each tick with estimates or a known reason for none; watchers: called with every output."""
 
     def __init__(
         self,

@@ -1,7 +1,4 @@
-"""A Foxglove WebSocket server: topics of a log or of a running daemon for whoever connects. Needs foxglove-sdk (landfix[live]).
-
-Foxglove is given the very bytes: CDR with the ros2msg definition, as they stand in the log.
-"""
+"""A Foxglove WebSocket server of a log or a running daemon, with the log's own CDR bytes. Needs foxglove-sdk (landfix[live])."""
 
 import threading
 import time

@@ -88,9 +88,9 @@ class RunConfig(Protocol):
 
 
 def run(config: RunConfig, folder: Path, *, quiet: bool = False) -> None:
-    """Fly until SIGTERM or SIGINT; folder: from which the configuration's files count; quiet: print nothing but errors.
+    """Fly until SIGTERM or SIGINT; folder: of the configuration's files; quiet: errors only.
 
-    Raises ConfigError, FolderError or BusError when it cannot start; once it has started it raises nothing.
+    Raises ConfigError, FolderError or BusError before the start, nothing afterwards.
     """
     notifier = Notifier()
     with (
@@ -337,10 +337,8 @@ def _mavlink(stack: ExitStack, config: RunConfig, folder: Path, clock: Clock, co
 
 @contextmanager
 def _until_signalled(daemon: Daemon) -> Iterator[None]:
-    """The signals that end a program stop the daemon, so that its log is whole; one that was ignored before (nohup) stays so.
-
-    Afterwards, while the log is closed, they are ignored: a second one must not tear it. Threads give way quickly, and what lives
-    as long as we do is not garbage.
+    """Signals that end a program stop the daemon, and are ignored while the log is closed; one that was ignored before (nohup)
+    stays so.
     """
     for number in _STOP_SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:

@@ -1,4 +1,4 @@
-"""Work on the ground: the demonstration, maps, overlays, checks before a flight, tuning. They do the work of commands.
+"""Work on the ground: the demonstration, maps, overlays, checks before a flight, tuning; commands parse arguments and print.
 
-Commands parse arguments and print, tools do it. May import everything of estimator but commands and cli.
+May import everything of estimator but commands and cli.
 """

@@ -1,7 +1,6 @@
 """The demonstration: a flight over a village is simulated and drawn, replayed through the real pipeline, evaluated, reported.
 
-GPS is cut off at one third. From then on what the stereo camera, or one camera, sees carries the estimate: landmarks, for a while
-nothing, and its motion over the meadows where no landmark is in view. The same flight is replayed without odometry, too.
+GPS is cut off at one third; then landmarks, a dark lens, and odometry over meadows. A replay without odometry is compared.
 """
 
 from collections.abc import Callable

@@ -1,8 +1,6 @@
-"""All kernels that a flight or the demonstration calls, compiled before the first of them, in two processes.
+"""Compiles all kernels of a flight or the demonstration that are not compiled yet, in two processes.
 
-    python -m estimator.tools.kernels
-
-Nothing is done where they are compiled already. What is compiled is named while it is.
+python -m estimator.tools.kernels
 """
 
 import gc

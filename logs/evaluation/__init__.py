@@ -1,4 +1,4 @@
-"""How good an estimate was: errors, consistency, drift in outages, what became of each measurement; of one log or several.
+"""Quality of an estimate: errors, consistency, drift in outages, decisions on measurements; of one log or several.
 
 Begin with `evaluate`. May import logs.store, logs.wire and models.
 """

@@ -57,13 +57,11 @@ class Fixes:
 
 @dataclass(frozen=True, slots=True)
 class Collected:
-    """A log, as far as it concerns evaluation.
+    """The part of a log that an evaluation reads.
 
-    aids: the last decision on each measurement; truth: empty where there is none; reference: what it is instead where it is no
-    ground truth (the autopilot's own estimate); unreadable: messages whose bytes make no sense;
-    origin: where map lies on Earth, as far as the log holds it; every: of so many estimates one was kept,
-    of `estimates` in all;
-    attachments, metadata, skipped_chunks: as the reader reports them.
+    aids: last decision on each measurement; truth: empty without one; reference: kind of truth that is none (the autopilot's own
+    estimate); unreadable: malformed messages; origin: of map, where the log holds it; every: one of so many of the `estimates`
+    is kept.
     """
 
     estimate: Trajectory
@@ -141,10 +139,10 @@ def read(
     most: int | None = None,
     see: Callable[[Record], None] | None = None,
 ) -> Collected:
-    """The Collected of a log. progress is called with the fraction done.
+    """The Collected of a log; progress is called with the fraction done.
 
-    most: of estimates and of truths no more are kept, evenly; see: is shown every record of the same pass.
-    Raises LogError where there is no estimate in it, or no truth of a usable type on a topic other than /truth.
+    most: estimates and truths kept, evenly; see: gets every record of the same pass. Raises LogError without an estimate, or
+    without a truth on a topic that was asked for.
     """
     own = {ODOMETRY_TOPIC, _AID_TOPIC, _HEALTH_TOPIC, _RESET_TOPIC, _GLOBAL_TOPIC, INTEGRITY_TOPIC, truth_topic}
     poses = {ODOMETRY_TOPIC, truth_topic}
@@ -226,10 +224,7 @@ def _positions(sheaf: _Sheaf, origin: Origin | None) -> Trajectory | None:
 
 
 def _origin(estimate: Trajectory, sheaf: _Sheaf) -> Origin | None:
-    """Where map lies on Earth, from one estimate given both in map and as latitude and longitude.
-
-    The origin is the place from which p leads to that latitude and longitude, found by iteration: the axes of map turn with it.
-    """
+    """Origin of map from one estimate in map and as latitude and longitude, by iteration: the axes of map turn with it."""
     for _, fix in sheaf.messages():
         row = int(np.searchsorted(estimate.t_ns, _t_ns(fix)))
         if row < len(estimate) and estimate.t_ns[row] == _t_ns(fix) and np.isfinite(estimate.p[row]).all():
@@ -275,9 +270,8 @@ def _resets(sheaf: _Sheaf) -> tuple[Jump, ...]:
 
 
 def _fixes(sheaves: dict[str, _Sheaf], aids: Iterable[AidStatus], origin: Origin | None) -> dict[str, Fixes]:
-    """The fixes of the topics on which a decision was made, with that decision.
-
-    Found by arrival: the validity of a fix is its stamp less the delay that the estimator was configured with.
+    """The fixes on whose topics a decision was made, with that decision, by arrival (validity is the stamp less the configured
+    delay).
     """
     used: dict[str, set[int]] = {}
     for status in aids:

@@ -1,11 +1,10 @@
-"""How good was the estimate in a log? Everything that can be said, with a truth or without, as one record.
+"""Evaluation of the estimate in a log, with a truth or without, as one record.
 
     evaluation = evaluate(Path("estimate.mcap"))
     logs.evaluation.table.print_table(evaluation)         # for a person
     msgspec.json.encode(evaluation)                       # for a program
 
-An estimate is compared at the truth's own stamps: it is interpolated between its neighbours, the truth never is, so a gap in the
-truth is a gap in the comparison. Stamps that the estimate does not cover are left out and counted.
+The estimate is interpolated at the truth's stamps; stamps that it does not cover are left out and counted.
 """
 
 from collections import Counter
@@ -48,10 +47,10 @@ _RELATIVE_S, _RELATIVE_M = (1.0, 10.0), (10.0, 100.0)
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Estimate and truth at the n stamps that both tell; errors are true minus estimated.
+    """Estimate and truth at n common stamps; errors are true minus estimated.
 
-    p_error: (n, 3) m, p_covariance: (n, 3, 3) estimate's and truth's together; theta_error: (n, 3) rad about the axes of map and
-    v_error: (n, 3) m/s along the axes of the body, nan where the truth does not tell; left_out: truth stamps without estimate.
+    p_error: (n, 3) m, p_covariance: (n, 3, 3) of both; theta_error: (n, 3) rad about the axes of map, v_error: (n, 3) m/s along
+    the body, nan: not in the truth; left_out: truth stamps without estimate.
     """
 
     estimate: Trajectory
@@ -83,8 +82,8 @@ class Comparison:
 
 
 def compare(estimate: Trajectory, truth: Trajectory, every: int = 1) -> Comparison:
-    """The estimate at the truth's stamps, and its errors there. Estimates whose position is not finite do not count; of those
-    without an attitude (a variance of 10 rad^2 or more) the position does. every: of so many estimates these are one.
+    """The estimate and its errors at the truth's stamps; positions count without an attitude (variance >= 10 rad^2); every: one
+    of so many.
     """
     estimate = estimate[np.asarray(np.isfinite(estimate.p).all(axis=1))]
     step_ns = int(1.5 * np.median(np.diff(estimate.t_ns))) if every > 1 and len(estimate) > 1 else 0
@@ -122,14 +121,12 @@ class Outages:
 def find_outages(
     aids: Iterable[AidStatus], health: Iterable[HealthPoint], estimate: Trajectory, longer_than_s: float | None = None
 ) -> dict[str, Outages]:
-    """Spans without absolute information, of all sources together ("all") and of each topic where there are several.
+    """Spans without absolute information, of all sources ("all") and of each topic where there are several.
 
-    A wait runs from the validity of the newest absolute measurement fused, or taken for the alignment, to the arrival of a newer
-    one of the same source. It is an outage where it is longer than 3 x the median wait of that source (interval and delay), and
-    than 2 s; or than longer_than_s. "all" is where every source is in an outage, for longer than the shortest of their
-    thresholds. Without
-    AidStatus the Health's age of the last absolute fix is used; without that either, none is known. The start of the estimate
-    counts as information: it was aligned by some.
+    A wait runs from the validity of the newest absolute measurement (fused or aligning) to the arrival of a newer one of its
+    source. It is an outage beyond 3 x that source's median wait and 2 s, or beyond longer_than_s. "all": every source is in an
+    outage. Without
+    AidStatus the Health's age of the last absolute fix is used. The start of the estimate counts as information.
     """
     aids, health = tuple(aids), tuple(health)
     start, end = int(estimate.t_ns[0]), int(estimate.t_ns[-1])
@@ -184,12 +181,10 @@ def evaluate(
     without_odometry: Path | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Evaluation:
-    """Evaluate /landfix/odometry of a log against a truth in it; without a truth, all that needs none.
+    """Evaluate /landfix/odometry of a log against a truth in it, or without one.
 
-    truth_topic: Odometry, PoseWithCovarianceStamped, PoseStamped or NavSatFix (a receiver the estimator did not hear);
-    burn_in_s: this long after the first estimate nothing is compared; outage_s: see find_outages; without_odometry: the same
-    flight, replayed without odometry.
-    Raises LogError for a file that is no log, holds no estimate, or no truth on a topic that was asked for.
+    truth_topic: Odometry, PoseWithCovarianceStamped, PoseStamped or NavSatFix; burn_in_s: not compared after the first estimate;
+    outage_s: see find_outages; without_odometry: the same flight replayed without odometry. Raises LogError.
     """
     collected = read(path, truth_topic, progress, most=_MOST)
     without = read(without_odometry, truth_topic, most=_MOST).estimate if without_odometry else None

@@ -1,12 +1,11 @@
-"""Protection levels against true errors: the four regions of a Stanford plot, and how often the error exceeds the level.
+"""Protection levels against true errors: the regions of a Stanford plot (Walter, Hansen and Enge, ION AM 1999).
 
     error e, protection level PL, alert limit AL        PL <= AL          PL > AL
     e <= PL                                             nominal           unavailable
     PL < e <= AL                                        misleading        unavailable
     AL < e                                              hazardous         unavailable
 
-(Stanford diagram: Walter, Hansen and Enge, Validation of the WAAS MOPS integrity equation, ION AM 1999.) A level holds until the
-next one comes, for a second at most: the largest error of that time counts.
+A level holds until the next one, for a second at most; the largest error of that time counts.
 """
 
 from collections import Counter

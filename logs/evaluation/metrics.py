@@ -1,11 +1,10 @@
-"""How good is an estimate? Accuracy and consistency as pure functions on arrays.
+"""Accuracy and consistency as pure functions on arrays.
 
-Rows are instants, already associated with each other (logs/evaluation/trajectory.py). Positions are (n, 3) in m, quaternions (n,
-4) wxyz body -> map, errors "true minus estimated", covariances (n, k, k) of the same errors. Nothing is written in place, and no
-row gives nan, not an exception.
+Rows are instants, associated already (trajectory.py). Positions (n, 3) m, quaternions (n, 4) wxyz body -> map, errors true minus
+estimated, covariances (n, k, k). No row gives nan.
 
-Sources: Umeyama 1991 (TPAMI 13-4); Sturm et al. 2012 (IROS, ATE and RPE); Zhang & Scaramuzza 2018 (IROS, four degrees of
-freedom); Bar-Shalom, Li & Kirubarajan 2001 (Estimation with Applications, section 5.4); Geyer 1992 (Statistical Science 7-4).
+Sources: Umeyama 1991 (TPAMI 13-4); Sturm et al. 2012 (IROS); Zhang & Scaramuzza 2018 (IROS); Bar-Shalom, Li & Kirubarajan 2001
+(section 5.4); Geyer 1992 (Statistical Science 7-4).
 """
 
 from dataclasses import dataclass
@@ -67,14 +66,12 @@ def rotation(q_wxyz: Array) -> Rotation:
 
 
 def align(p_est: Array, p_true: Array, kind: AlignmentKind = "se3") -> Alignment:
-    """The motion that brings p_est nearest to p_true in the sense of least squares.
+    """The motion that brings p_est nearest to p_true by least squares.
 
         min over (c, R, t) of  sum | p_true_i - c R p_est_i - t |^2                      (Umeyama 1991, eq. 40-43)
         R = U S V',  c = tr(D S) / var(p_est),  t = mean(p_true) - c R mean(p_est),  U D V' = cov(p_true, p_est)
 
-    "yaw": R turns about z only, c = 1 (what a gravity-referenced estimator cannot observe; Zhang & Scaramuzza 2018, section
-    III-C); "se3": c = 1; "sim3": all; "none": the identity. Where the points do not fix the motion (one point, a straight
-    line), it is one of the minimisers.
+    "yaw": R about z, c = 1 (Zhang & Scaramuzza 2018, III-C); "se3": c = 1; "sim3": all; "none": identity.
     """
     if kind == "none" or not len(p_est):
         return Alignment(np.eye(3), np.zeros(3))
@@ -112,9 +109,8 @@ def path_length(p: Array) -> Array:
 
 
 def pairs_apart(coordinate: Array, delta: float, tolerance: float) -> tuple[Indices, Indices]:
-    """For every i the row j > i whose coordinate is nearest to coordinate_i + delta, if within the tolerance.
-
-    coordinate: (n,) not decreasing; seconds for errors per time, path_length for errors per distance.
+    """For every i the row j > i nearest to coordinate_i + delta within the tolerance; coordinate: (n,) not decreasing (time or
+    length).
     """
     n = len(coordinate)
     if n < 2:
@@ -128,7 +124,7 @@ def pairs_apart(coordinate: Array, delta: float, tolerance: float) -> tuple[Indi
 
 
 def rpe(p_est: Array, q_est: Array, p_true: Array, q_true: Array, pairs: tuple[Indices, Indices]) -> tuple[Stats, Stats]:
-    """Relative pose error over pairs (i, j) of rows: translation [m] and rotation angle [rad].
+    """Relative pose error over pairs (i, j): translation [m] and rotation angle [rad].
 
     E_ij = (Q_i^-1 Q_j)^-1 (P_i^-1 P_j),  Q true and P estimated poses                      (Sturm et al. 2012, eq. 1)
     """
@@ -161,10 +157,7 @@ def drift(p_error: Array, p_true: Array) -> Drift:
 
 
 def nees(error: Array, covariance: Array) -> Array:
-    """Normalised estimation error squared, e' P^-1 e, (n,)                  (Bar-Shalom et al. 2001, eq. 5.4.2-2).
-
-    inf where P is not finite, not symmetric (1e-6) or not positive definite: such a covariance bounds nothing.
-    """
+    """e' P^-1 e, (n,); inf where P is not finite, symmetric (1e-6), positive definite (Bar-Shalom et al. 2001, eq. 5.4.2-2)."""
     values = np.full(len(error), np.inf)
     sound = np.isfinite(covariance).all(axis=(1, 2)) & np.isfinite(error).all(axis=1)
     sound = np.asarray(sound & np.isclose(covariance, covariance.mT, rtol=1e-6, atol=1e-12).all(axis=(1, 2)))
@@ -181,9 +174,9 @@ def chi2_band(dof: float, probability: float = 0.95) -> tuple[float, float]:
 
 
 def effective_samples(x: Array) -> float:
-    """n_eff = n / (1 + 2 sum_k rho_k): how many independent samples a correlated series is worth, 1..n.
+    """n_eff = n / (1 + 2 sum_k rho_k), 1..n: independent samples that a correlated series is worth.
 
-    rho_k: autocorrelation at lag k, summed until a pair rho_2m + rho_2m+1 is no longer positive (Geyer 1992, section 3.3).
+    rho_k: autocorrelation, summed until a pair rho_2m + rho_2m+1 is not positive (Geyer 1992, section 3.3).
     """
     n = len(x)
     if n < 4 or not np.isfinite(x).all():
@@ -200,10 +193,10 @@ def effective_samples(x: Array) -> float:
 
 
 class Consistency(msgspec.Struct, frozen=True):
-    """Is the covariance consistent? mean = NEES / dof, 1 if it is.
+    """Consistency of a covariance; mean = NEES / dof.
 
-    band: two-sided 95 % interval of that mean for n_effective independent samples; inside: share of samples within their own
-    two-sided 95 % interval; covered: share within the 95 % ellipsoid.
+    band: 95 % interval of the mean for n_effective samples; inside: share within the sample's own interval; covered: within the
+    95 % ellipsoid.
     """
 
     dof: int
@@ -221,13 +214,11 @@ class Consistency(msgspec.Struct, frozen=True):
 
 
 def consistency(values: Array, dof: int, n_effective: float | None = None) -> Consistency:
-    """Judge (n,) NEES (or NIS) values of dof degrees of freedom.
+    """Judge (n,) NEES or NIS values of dof degrees of freedom.
 
         n_eff * mean(NEES) ~ chi2(n_eff * dof)                               (Bar-Shalom et al. 2001, eq. 5.4.2-8)
 
-    n_effective: None takes effective_samples(values); give len(values) for samples known to be independent. Of one consistent
-    flight that estimate is a guide: 95 of 100 lie in the band where aiding is steady, 86 where long outages dominate (120 runs
-    each of a random walk with fixes), for few outages tell little of their own correlation. Judge many runs at fixed instants.
+    n_effective: None takes effective_samples(values), a guide for one flight (86 to 95 of 100 consistent ones are in the band).
     """
     n = len(values)
     if not n:
@@ -247,20 +238,13 @@ def consistency(values: Array, dof: int, n_effective: float | None = None) -> Co
 
 
 def nis(innovation: Array, sigma: Array) -> Array:
-    """Sum of squared standardised innovations, sum_i (nu_i / s_i)^2, (n,) from (n, k).
-
-    Its expectation is k whatever the correlation between components; it is nu' S^-1 nu, and chi-square with k degrees of
-    freedom, where S is diagonal                                              (Bar-Shalom et al. 2001, eq. 5.4.2-9).
-    """
+    """sum_i (nu_i / s_i)^2, (n,) from (n, k): nu' S^-1 nu where S is diagonal (Bar-Shalom et al. 2001, eq. 5.4.2-9)."""
     total: Array = ((innovation / sigma) ** 2).sum(axis=1)
     return total
 
 
 def waits(valid_ns: Times, arrived_ns: Times) -> Times:
-    """From the validity of the newest information to the arrival of newer, (m, 2): how old it had become by then.
-
-    valid_ns, arrived_ns: (n,) in any order, on one clock. Late information that is older than what is there ends no wait.
-    """
+    """(m, 2): from the validity of the newest information to the arrival of newer; valid_ns, arrived_ns: (n,) in any order."""
     pairs = []
     newest: int | None = None
     for k in np.lexsort((valid_ns, arrived_ns)):
@@ -273,11 +257,7 @@ def waits(valid_ns: Times, arrived_ns: Times) -> Times:
 
 
 def gaps(valid_ns: Times, arrived_ns: Times, end_ns: int, longer_than_ns: int) -> list[tuple[int, int]]:
-    """Spans without information: waits longer than longer_than_ns, the last of them up to end_ns.
-
-    Newer information ends a span, so no span holds any. Late information is old at its arrival: the wait for the next one then
-    began before the span in front ended, and the new span begins at that end.
-    """
+    """Waits longer than longer_than_ns up to end_ns, without overlap: newer information ends a span."""
     if not len(valid_ns):
         return []
     last = (int(valid_ns.max()), end_ns)

@@ -1,7 +1,6 @@
-"""Pictures of a flight: from above, errors within their bands, horizontal error against the reported 95 % radius.
+"""Plots of a flight: from above, errors in their bands, horizontal error against the 95 % radius.
 
-Every function returns a matplotlib Figure that stands alone (no pyplot, no global state); figure.savefig("x.png") writes it. Time
-is in seconds from the first estimate. Colours are Okabe & Ito's, distinguishable by the colour-blind; markers differ too.
+Each function returns a matplotlib Figure (no pyplot). Time in s from the first estimate; colours of Okabe & Ito.
 """
 
 from typing import Any, Final

@@ -15,10 +15,9 @@ class RelativeError(msgspec.Struct, frozen=True):
 
 
 class Accuracy(msgspec.Struct, frozen=True):
-    """Errors against the truth. position_m is the ATE without alignment: the map frame is part of the estimate.
+    """Errors against the truth; position_m: ATE without alignment, *_aligned_m: after yaw and shift, rigid motion, similarity.
 
-    aided_*: outside outages; *_aligned_m: ATE after the best yaw and shift, rigid motion, similarity; tilt_deg, heading_deg:
-    attitude error about the horizontal axes and the vertical one. Stats with n = 0 where the truth has none.
+    aided_*: outside outages; tilt_deg, heading_deg: about the horizontal axes and the vertical; n = 0: not in the truth.
     """
 
     position_m: Stats
@@ -52,10 +51,10 @@ class ConsistencySummary(msgspec.Struct, frozen=True):
 
 
 class Outage(msgspec.Struct, frozen=True):
-    """A span without absolute information of a source (a topic, or "all"); start_s from the first estimate.
+    """A span without absolute information of a source or "all"; start_s from the first estimate.
 
-    drift and what follows are None without a truth; nees_position: mean of NEES / 3; radius95_end_m: reported at the end;
-    increments: of odometry, fused in it; without_odometry_m: the error at its end of the same flight replayed without odometry.
+    None without a truth: drift and what follows; nees_position: mean of NEES / 3; radius95_end_m: at the end; increments: of
+    odometry, fused; without_odometry_m: error at the end without odometry.
     """
 
     source: str
@@ -80,10 +79,10 @@ class Percentiles(msgspec.Struct, frozen=True):
 
 
 class AidSummary(msgspec.Struct, frozen=True):
-    """What became of one source's measurements of one kind.
+    """Decisions on one source's measurements of one kind.
 
-    reasons: reason -> measurements, most frequent first; revised: decisions that changed later; nis: mean of the squared
-    standardised innovations of the fused (1 if their sigmas are right); test_ratio: of the fused, 1 is the gate.
+    reasons: reason -> count, most frequent first; revised: changed later; nis: mean squared standardised innovation of the fused;
+    test_ratio: of the fused, 1 is the gate.
     """
 
     topic: str
@@ -106,10 +105,8 @@ class ResetRow(msgspec.Struct, frozen=True):
 
 
 class Evaluation(msgspec.Struct, frozen=True):
-    """All of it.
-
-    distance_m: along the truth, or the estimate where there is none; compared: truth samples that an estimate covers;
-    without_estimate: those that none covers; without_truth: estimates with no truth near; modes: share of time in each.
+    """distance_m: along the truth, else the estimate; compared, without_estimate: truth samples; without_truth: estimates;
+    modes: share of time in each.
     """
 
     log: str

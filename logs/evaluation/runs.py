@@ -23,10 +23,8 @@ from models.messages import Reason
 
 
 class Run(msgspec.Struct, frozen=True):
-    """One run in a row; None where its log has none.
-
-    outage_end_m: RMS of the position errors at the ends of its outages; nees_*: mean NEES / degrees of freedom, 1 if consistent;
-    inside95: share of time inside the reported 95 % radius.
+    """One run in a row, None: not in its log; outage_end_m: RMS at the ends of outages; nees_*: mean / dof; inside95: share of
+    time.
     """
 
     run: str
@@ -159,10 +157,7 @@ def comma_separated(runs: Sequence[Run]) -> str:
 
 
 def _cells(runs: Sequence[Run], wanted: Sequence[str]) -> tuple[list[str], list[list[str]], set[tuple[int, int]]]:
-    """The fields that some run fills, rows as text, and which cells (row, column) are the best of their columns.
-
-    From three runs on the last row holds the medians.
-    """
+    """Fields that some run fills, rows as text with the medians last from three runs on, and the best cell of each column."""
     fields = [f for f in wanted if any(getattr(run, f) is not None for run in runs)]
     rows = [[_cell(f, getattr(run, f)) for f in fields] for run in runs]
     if len(runs) >= _MEDIAN_FROM:

@@ -1,8 +1,4 @@
-"""A trajectory as arrays: decoded from a log's messages in one sweep, associated with another by stamps.
-
-Everything is as on the wire: map is ENU, body is FLU, rotation errors are about the axes of map, velocities and their errors
-along the axes of the body.
-"""
+"""A trajectory as arrays, decoded from messages and associated with another by stamps; axes as on the wire (ENU, FLU)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -25,10 +21,10 @@ _ENCAPSULATION = 4  # bytes before the CDR body
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """n poses in the order of their stamps, each stamp once. What a message does not give is nan.
+    """n poses in the order of their stamps, each stamp once; nan: not given.
 
-    t_ns, arrived_ns: (n,) int64; p: (n, 3) m; q_wxyz: (n, 4) body -> map; v_body: (n, 3) m/s;
-    covariance: (n, 6, 6), order x y z rx ry rz; v_covariance: (n, 3, 3) of v_body.
+    t_ns, arrived_ns: (n,) int64; p: (n, 3) m; q_wxyz: (n, 4) body -> map; v_body: (n, 3) m/s; covariance: (n, 6, 6), x y z rx
+    ry rz; v_covariance: (n, 3, 3).
     """
 
     t_ns: Times
@@ -61,11 +57,7 @@ class Trajectory:
 
 
 def decode(schema: str, data: Sequence[bytes], arrived_ns: Sequence[int]) -> Trajectory:
-    """The Trajectory of CDR messages of one of POSE_TYPES; of several with one stamp the first counts.
-
-    These messages end with their numbers, so the last bytes are read without looking at the strings before them. Messages that
-    are too short to hold them are left out.
-    """
+    """The Trajectory of CDR messages of one of POSE_TYPES, from their last bytes; of several with one stamp the first counts."""
     size = 8 * _DOUBLES[schema]
     whole = [k for k, d in enumerate(data) if len(d) >= size + 2 * _ENCAPSULATION + 8]
     little = all(data[k][1] & 1 for k in whole)
@@ -84,10 +76,10 @@ def _stamps(data: Sequence[bytes]) -> Times:
 
 
 def from_rows(t_ns: Times, arrived_ns: Times, x: Array) -> Trajectory:
-    """The Trajectory of rows x as they stand in messages: 3 (position), 7 (pose), 43 (and covariance) or 85 (and twist) doubles.
+    """The Trajectory of rows of 3 (position), 7 (pose), 43 (with covariance) or 85 (with twist) doubles, in any order.
 
-    Rows come in any order; of several with one stamp the first counts. A quaternion (xyzw) that is not of about unit length or
-    has a variance of "not given" is none.
+    Of several with one stamp the first counts. A quaternion (xyzw) of another length than 1, or with "not given" variance, is
+    none.
     """
     t_ns, first = np.unique(t_ns, return_index=True)
     x, arrived_ns = x[first], arrived_ns[first]
@@ -103,9 +95,8 @@ def from_rows(t_ns: Times, arrived_ns: Times, x: Array) -> Trajectory:
 
 
 def decode_geodetic(data: Sequence[bytes], arrived_ns: Sequence[int], origin: Origin) -> Trajectory:
-    """The Trajectory (position and its covariance only) of CDR NavSatFix messages with a fix, in map at the origin.
-
-    NavSatFix ends with latitude, longitude, altitude, a 3 x 3 ENU covariance (12 doubles) and its type (1 byte).
+    """The Trajectory (position and covariance) of CDR NavSatFix messages with a fix, in map at the origin, from their last
+    bytes.
     """
     rows, stamps, arrivals = [], [], []
     for d, arrived in zip(data, arrived_ns, strict=True):
@@ -130,10 +121,7 @@ def _navsat_status(d: bytes) -> int:
 
 
 def nearest(t_ns: Times, wanted_ns: Times, tolerance_ns: int) -> tuple[Indices, Mask]:
-    """For every wanted stamp the row of t_ns (sorted) nearest to it, and whether it is within the tolerance.
-
-    Integer arithmetic throughout. Of two equally near the earlier.
-    """
+    """The row of t_ns (sorted) nearest to each wanted stamp (the earlier of two), and whether it is within the tolerance."""
     if not len(t_ns):
         return np.zeros(len(wanted_ns), np.intp), np.zeros(len(wanted_ns), bool)
     right = np.clip(np.searchsorted(t_ns, wanted_ns), 0, len(t_ns) - 1)
@@ -143,11 +131,9 @@ def nearest(t_ns: Times, wanted_ns: Times, tolerance_ns: int) -> tuple[Indices, 
 
 
 def interpolate(trajectory: Trajectory, wanted_ns: Times, longest_ns: int) -> tuple[Trajectory, Mask]:
-    """The trajectory at wanted stamps, and which of them it can tell: inside it, and in no hole longer than longest_ns.
+    """The trajectory at wanted stamps, and which lie inside it and in no hole longer than longest_ns.
 
-        p = (1 - w) p_a + w p_b,   R = R_a exp(w log(R_a' R_b)),   w = (t - t_a) / (t_b - t_a)
-
-    Velocity and covariances as the position. At a stamp of its own it is that row, whatever the holes next to it.
+    p = (1 - w) p_a + w p_b,   R = R_a exp(w log(R_a' R_b)),   w = (t - t_a) / (t_b - t_a)
     """
     n = len(trajectory)
     if not n:

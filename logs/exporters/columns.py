@@ -1,7 +1,6 @@
-"""A trajectory as named columns with units, the same for CSV, Parquet and pandas.
+"""A trajectory as named columns with units; nan: not known.
 
-map is ENU at the origin, the body of the quaternion FLU, both as on the wire. Roll, pitch and heading are those of aviation: of
-the body FRD in NED, heading clockwise from north. A value that is not known is nan.
+map is ENU, the quaternion's body FLU; roll, pitch, heading as in aviation: FRD in NED, heading clockwise from north.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -45,9 +44,7 @@ class Table:
 
 
 def table(log: Path, topic: str = ODOMETRY_TOPIC, rate_hz: float = 0.0, progress: Callable[[float], None] | None = None) -> Table:
-    """The estimate of a log, or the poses of another topic in it (/truth, a receiver); rate_hz: at most so many rows a second,
-    0: all. Raises LogError.
-    """
+    """The estimate of a log, or the poses of another topic; rate_hz: rows a second at most, 0: all. Raises LogError."""
     if topic == ODOMETRY_TOPIC:
         collected = read(log, progress=progress)
         trajectory, health = collected.estimate, collected.health

@@ -1,4 +1,4 @@
-"""A log's trajectory as a file that other programs open; the format follows from the file's name.
+"""A log's trajectory as a file for other programs; the name decides the format.
 
     csv       all columns, a header line, empty cells where a value is not known        spreadsheets, pandas, R
     parquet   the same columns with their types (needs pyarrow)                         pandas, DuckDB, Spark
@@ -6,7 +6,7 @@
     kml       a line for each stretch of one mode, coloured by mode                     Google Earth, QGIS
     gpx       one track, a new segment at each gap                                      map and GIS programs
 
-The formats' own definitions: TUM RGB-D benchmark, "File formats"; OGC 07-147r2 (KML 2.2); Topografix GPX 1.1.
+Formats: TUM RGB-D benchmark; OGC 07-147r2 (KML 2.2); Topografix GPX 1.1.
 """
 
 from collections.abc import Callable, Mapping
@@ -67,10 +67,9 @@ def export(
     geoid_m: float | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Exported:
-    """Write the poses of a topic. rate_hz: at most so many a second; 0: all; None: all, for kml and gpx two.
+    """Write the poses of a topic; rate_hz: at most, 0: all, None: all, two for kml and gpx. Raises LogError.
 
-    geoid_m: height of the geoid above the ellipsoid, None: as configured in the log; kml and gpx hold heights above the sea.
-    Raises LogError.
+    geoid_m: height of the geoid above the ellipsoid, None: the log's; kml and gpx hold heights above the sea.
     """
     check_output(out, log)
     kind = kind or format_of(out)

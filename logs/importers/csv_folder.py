@@ -1,4 +1,4 @@
-"""A folder of CSV files: imu.csv, and as far as there are any gps.csv, baro.csv, mag.csv, vision.csv and truth.csv (or .csv.gz).
+"""A folder of CSV files (or .csv.gz): imu.csv, and those there are of gps, baro, mag, airspeed, vision and truth.
 
 Headers say what a column is (csv_table.py has all the names):
 
@@ -10,8 +10,7 @@ Headers say what a column is (csv_table.py has all the names):
     truth.csv   t_s, pn_m pe_m pd_m (NED) or px_m py_m pz_m (ENU unless --world says), vn_m_s.. or vx_m_s.., qw qx qy qz
     vision.csv  as truth.csv: poses that may serve as fixes or as odometry, on request
 
-Every file may have arrived_s: when a row arrived, if not at t_s. Stamps since the log's start are counted from `t0_unix_ns` in
-a checks.json next to, else from EPOCH_NS. Of a data set that is known by name (settings.py) axes and noise are known too.
+Every file may have arrived_s. Stamps since the log's start count from `t0_unix_ns` in checks.json, else from EPOCH_NS.
 """
 
 import json
@@ -223,10 +222,9 @@ def _airspeed(reader: _Reader) -> tuple[list[Stream], bool]:
 
 
 def _poses(table: Table, options: ImportOptions, B: Array) -> tuple[Array, Array, Array]:
-    """p_n (n, 3), v_n (n, 3), q_nb_wxyz (n, 4) of a table of poses; nan: not given.
+    """p_n (n, 3), v_n (n, 3), q_nb_wxyz (n, 4) of a table of poses, nan: not given.
 
-    Columns named n, e, d are NED; x, y, z, or an attitude alone, are in the world of the options, else ENU (x, y, z) or NED
-    (attitude alone).
+    Columns n, e, d are NED; x, y, z are in the world of the options, else ENU (an attitude alone: NED).
     """
     axes = next((a for a in (_NED, "xyz") if table.find(csv_table.POSITION.names(a[0])) is not None), None)
     usual = _NED if axes is None else "enu"

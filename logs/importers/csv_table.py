@@ -1,7 +1,6 @@
-"""One CSV file (plain or gzipped) as numbers, its columns found by name: the header says what a column is and in which unit.
+"""One CSV file (plain or gzipped) as numbers, columns by name and unit of the header.
 
-A cell that is no number becomes nan. A line with too few or too many cells is left out and counted, a torn file is read as
-far as it goes; both are reported in `notes`.
+A cell that is no number is nan; lines of another length are left out, a torn file is read to its end: counted in `notes`.
 """
 
 import re
@@ -205,7 +204,7 @@ def _number(cell: str) -> float:
 
 
 def _times(file: str, names: tuple[str, ...], rows: list[str], stems: tuple[str, ...], t0_ns: int | None) -> Times | None:
-    """Stamps (n,) in ns since 1970, exact to the last digit; -1 where the cell is no number; None where there is no column."""
+    """Stamps (n,) in ns since 1970, exact to the last digit; -1: no number; None: no column."""
     units = {stem + unit: ns for unit, ns in _TIME_UNITS.items() for stem in stems}
     name = next((n for n in units if n in names), None)
     if name is None:

@@ -10,9 +10,8 @@
     XKF1, NKF1 or EKF1              ->  /truth where there is no SIM: the autopilot's own estimate, for reference only;
                                         its attitude  ->  /attitude
 
-ArduPilot is FRD and NED already. Instances are messages of their own (IMU2) or a field of one message (IMU, I = 1), by version.
-A GPS row is written when the fix arrives. Its week time gives its delay: t_ns is the receiver's time
-on the log's clock, set so that the fastest fix took no time, and what all fixes have in common is `delay_s` of the settings.
+Instances are messages of their own (IMU2) or a field (I = 1), by version. t_ns of a fix is the receiver's week time on the log's
+clock, set so that the fastest fix took no time; the common delay is `delay_s`.
 """
 
 import contextlib

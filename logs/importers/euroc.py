@@ -1,11 +1,10 @@
-"""The folder layout of ASL data sets (EuRoC, TUM-VI and others): mav0/imu0/data.csv, mav0/state_groundtruth_estimate0/data.csv.
+"""The folder layout of ASL data sets (EuRoC, TUM-VI and others), without images.
 
     imu0/data.csv                            timestamp [ns], w_RS_S_xyz [rad s^-1], a_RS_S_xyz [m s^-2]
     state_groundtruth_estimate0/data.csv     timestamp, p_RS_R_xyz [m], q_RS_wxyz [], v_RS_R_xyz [m s^-1], biases
     imu0/sensor.yaml                         noise densities, where the set gives them
 
-The world is z-up (R: taken as ENU), the body is the IMU frame S: of EuRoC's IMU x points up, y right, z forward. Images are not
-imported.
+R is taken as ENU; the body is the IMU frame S (EuRoC's: x up, y right, z forward).
 """
 
 import re

@@ -1,8 +1,4 @@
-"""What an importer makes of a foreign log: columns of numbers that become messages one by one, in the order of arrival.
-
-Everything here is already NED / FRD / SI. A value that the log does not give is nan; strange values stay as they are, the
-estimator has a reason for each. Where a log knows no arrival times, messages arrived in the order in which they stand.
-"""
+"""A foreign log as columns of numbers in NED, FRD, SI that become messages in the order of arrival; nan: not given."""
 
 import heapq
 import math
@@ -58,13 +54,10 @@ Message: TypeAlias = Input | Truth
 
 
 class ImportOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a log cannot say about itself; an empty text means "as the log, or the data set it belongs to, says".
+    """What a log does not say itself; "": as the log, or its data set, says.
 
-    axes: where x, y and z of the IMU point, a letter each of f/b, r/l, u/d ("frd", "flu", "urf"), csv and euroc only;
-    world: the same for positions, of n/s, e/w, u/d ("ned", "enu"), csv and euroc only;
-    imu: which of several IMUs ("imu2", "IMU3"), not for ulog;
-    pose_fix_hz: take poses of vision.csv as pose fixes, at most so many a second (0: none), csv only;
-    odometry: take poses of vision.csv as those of an odometry, csv only.
+    axes: where x, y, z of the IMU point, a letter each of f/b, r/l, u/d (csv, euroc); world: of positions, n/s, e/w, u/d (csv,
+    euroc); imu: which of several; pose_fix_hz: poses of vision.csv as fixes (csv); odometry: as odometry (csv).
     """
 
     axes: str = ""
@@ -147,10 +140,7 @@ def _arrived(message: Message) -> int:
 
 
 def arrival(t_ns: Times) -> Times:
-    """When messages stamped t_ns arrived, if they stand in the order of arrival: the running maximum of the stamps.
-
-    So a stamp that steps backward keeps its place. A single stamp that leaps ahead of its neighbours does not hold up the rest.
-    """
+    """Arrival of messages in file order: the running maximum of the stamps, without single stamps that leap ahead."""
     held = t_ns.copy()
     if len(t_ns) > 2:
         leaps = 1 + np.flatnonzero((t_ns[1:-1] > t_ns[2:]) & (t_ns[2:] >= t_ns[:-2]))

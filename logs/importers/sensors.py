@@ -57,7 +57,7 @@ def check_place(lla: Array, where: str) -> None:
 
 
 def navsat_status(fix_type: Array) -> Array:
-    """sensor_msgs NavSatStatus of a MAVLink / PX4 / ArduPilot fix type: < 3 (none, 2D) -> -1, 3D -> 0, DGPS -> 1, RTK -> 2."""
+    """NavSatStatus of a fix type: < 3 (none, 2D) -> -1, 3D -> 0, DGPS -> 1, RTK -> 2."""
     return np.select([fix_type < 3, fix_type == 3, fix_type == 4], [-1.0, 0.0, 1.0], 2.0)
 
 
@@ -88,11 +88,11 @@ def standard_pressure(height_m: Array) -> Array:
 
 
 def origin_of_truth(gnss: Stream, truth: Stream, delay_s: float, known: Vec3 | None = None) -> Vec3 | None:
-    """Latitude, longitude [deg], height [m] of the point that the truth is relative to: the median over the fixes of
+    """Latitude, longitude [deg], height [m] of the truth's origin: the median over the fixes of
 
         origin = place of the fix (-) p_n, of the truth at its time, which is its stamp less delay_s
 
-    `known`, what the log itself says, is taken when it agrees to 2 m in each axis, or where fixes and truth never meet.
+    `known`, of the log itself, is taken where it agrees to 2 m in each axis, or where fixes and truth do not overlap.
     """
     lla, status = gnss.columns[0], gnss.columns[2]
     p_n = _position_at(gnss.t_ns - round(delay_s * 1e9), truth)
@@ -116,7 +116,7 @@ def _offset(origin: Origin, lla: Array, p_n: Array) -> Array:
 
 
 def _position_at(t_ns: Times, truth: Stream) -> Array:
-    """p_n (n, 3) of the truth at t_ns, on the line between its neighbours; nan where these are far apart, or there are none."""
+    """p_n (n, 3) of the truth at t_ns between neighbours; nan where these are far apart."""
     p_n = np.full((len(t_ns), 3), np.nan)
     if len(truth) < 2:
         return p_n

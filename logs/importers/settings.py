@@ -1,7 +1,7 @@
-"""What the estimator should know about an imported log, as the TOML text that lies next to it.
+"""The configuration of an imported log, as TOML text.
 
-Noise is *effective*: vibration that folds into a sample, scale and mounting errors act like noise, so it is up to 20 times the
-data sheet's. Values of known data sets are tuned on them; the rest are chosen by kind of vehicle, and the text says so.
+Noise is effective: vibration, scale and mounting make it up to 20 times the data sheet's. Known data sets are tuned, the rest is
+by kind of vehicle, and the text says so.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,10 +25,8 @@ BY_KIND = "not known for this log: typical of a multirotor's vibration at 50 Hz;
 class Settings(msgspec.Struct, frozen=True):
     """One log's share of the configuration.
 
-    noise_reason: where the noise is from; gnss_delay_s: how much older a fix is than its stamp; antenna_b_m: from the IMU to
-    the GNSS antenna; receiver, airspeed: other keys of [gnss] and [airspeed], where these are known better than by their
-    defaults; hard_iron_ut: what the vehicle adds to the magnetic field, uT, axes of imu.csv turned to the body's; origin:
-    lat_deg, lon_deg, alt_m of the frame of the log's truth, None: the estimator chooses.
+    noise_reason: source of the noise; gnss_delay_s: age of a fix at its stamp; antenna_b_m: IMU to antenna; receiver, airspeed:
+    other keys of [gnss], [airspeed]; hard_iron_ut: uT, body axes; origin: deg, deg, m of the truth's frame, None: unknown.
     """
 
     noise: ImuNoise = MULTIROTOR
@@ -62,9 +60,7 @@ class Settings(msgspec.Struct, frozen=True):
         self, kind: str, source: Path, inputs: Mapping[str, Sequence[str]], offered: Sequence[str] = (), axes: str = "flu",
         mounting_deg: tuple[float, float] = (0.0, 0.0),
     ) -> str:  # fmt: skip
-        """The text; inputs: [inputs], key -> topics; offered: lines of comment below it; axes: of the IMU's messages;
-        mounting_deg: its roll and pitch in the body.
-        """
+        """The text; inputs: key -> topics; offered: comment lines; axes, mounting_deg (roll, pitch): of the IMU."""
         lines = [
             f"# Written by: landfix import {kind} {source.name}   (importing again writes it anew: copy it before you change it)",
             "",

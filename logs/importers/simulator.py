@@ -12,7 +12,7 @@ from models.messages import Array, Vec3
 
 
 def truth(t_ns: Times, lla: Array, v_n: Array, q_nb_wxyz: Array, known: Vec3 | None) -> tuple[Stream, Vec3]:
-    """The truth and the origin that it is about: the log's own where it is known, else the first place.
+    """The truth and its origin: the log's own, else the first position.
 
     lla (n, 3) deg, deg, m above the sea; v_n (n, 3) m/s; q_nb_wxyz (n, 4) of any length; nan: not given; n > 0.
     """

@@ -1,7 +1,4 @@
-"""What importers make of a log's steps of odometry: increments of cameras and flow, velocities of wheels (increments.py).
-
-A flow without a turn takes that of the IMU; without a range, that of the log's range finder.
-"""
+"""A log's steps of odometry -> increments of cameras and flow, velocities of wheels (increments.py)."""
 
 from collections.abc import Iterable
 
@@ -32,10 +29,7 @@ def flow(
     t_ns: Times, arrived_ns: Times, dt_ns: Times, seen: Array, turn: Array, own_m: Array, streams: Iterable[Stream],
     notes: list[str],
 ) -> list[Stream]:  # fmt: skip
-    """seen (n, 2) and turn (n, 3) rad over dt_ns, own_m (n,): range in the message; nan: not given.
-
-    streams: the IMU's, and the range finder's where there is one; notes: gets one where ranges are missing.
-    """
+    """seen (n, 2) and turn (n, 3) rad over dt_ns, own_m (n,): range in it; nan: not given; streams: IMU, range finder."""
     by_topic = {stream.topic: stream for stream in streams}
     imu = by_topic["/imu"]
     turn = np.where(np.isnan(turn), _turned(imu, t_ns - dt_ns, t_ns), turn)

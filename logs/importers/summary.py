@@ -4,7 +4,7 @@ import msgspec
 
 
 class TopicRow(msgspec.Struct, frozen=True):
-    """A topic of a ROS bag, and what becomes of it. use: the key of [inputs], empty: it feeds none; copied: it is in the log."""
+    """A topic of a ROS bag; use: key of [inputs], empty: none; copied: it is in the log."""
 
     topic: str
     type: str
@@ -16,10 +16,7 @@ class TopicRow(msgspec.Struct, frozen=True):
 
 
 class ImportSummary(msgspec.Struct, frozen=True):
-    """What was written: the log, its configuration, messages by topic, when they arrived, and what a person should know.
-
-    topics: of a ROS bag.
-    """
+    """The log, its configuration, messages by topic with their span, and notes; topics: of a ROS bag."""
 
     out: str
     config: str

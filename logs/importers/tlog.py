@@ -1,4 +1,4 @@
-"""MAVLink telemetry logs (.tlog: each message behind the time at which the ground station received it), by pymavlink.
+"""MAVLink telemetry logs (.tlog), by pymavlink.
 
     HIGHRES_IMU, else RAW_IMU, SCALED_IMU, SCALED_IMU2 (coarse: noted)  ->  /imu, /mag
     SCALED_IMU2, SCALED_IMU3 at 20 Hz or more  ->  /imu2, /imu3
@@ -11,8 +11,7 @@
     ODOMETRY                      ->  /odometry: poses of a camera or lidar; a new frame at each reset_counter
     VISION_POSITION_DELTA         ->  /odometry_delta: a camera's steps      OPTICAL_FLOW_RAD  ->  /optical_flow
 
-Messages of the vehicle with the most messages are taken. MAVLink is FRD and NED. Its stamps count from boot; the fastest
-message of a boot is taken to have needed no time from the vehicle to the ground, which gives the date to all.
+The vehicle with the most messages is taken. Stamps count from boot; the fastest message of a boot gives the date.
 """
 
 import re
@@ -205,10 +204,7 @@ def _stamp_us(message: Any) -> float:
 
 
 def _clock_steps(everything: Array) -> tuple[Array, Array]:
-    """Where the ground station's clock was set: number in the file of the first message behind, and by how much [us].
-
-    arrival and stamp [us since boot] go on together; where only the arrival leaps by more than _CLOCK_SET_US, its clock was set.
-    """
+    """First message after each step of the ground station's clock, and the step [us]; arrival [us] and stamp [us since boot]."""
     booting = everything[(everything[:, 1] > 0) & (everything[:, 1] < _UNIX_US)]
     arrived, stamped = np.diff(booting[:, 0]), np.diff(booting[:, 1])
     steps = np.flatnonzero((np.abs(arrived - stamped) > _CLOCK_SET_US) & (np.abs(stamped) < _REBOOT_US))
@@ -280,7 +276,7 @@ def _other_imus(tables: Mapping[str, _Table], imu: Stream, notes: list[str]) -> 
 
 
 def _has_ellipsoid(table: _Table) -> Array:
-    """alt_ellipsoid of 0 is none, nor is one that is the height above the sea: a receiver without a geoid sends it in both."""
+    """Whether alt_ellipsoid is given: not 0, and not the height above the sea (a receiver without a geoid sends it in both)."""
     height = table["alt_ellipsoid"]
     known: Array = (height != 0) & (np.abs(height - table["alt"]) > _SAME_HEIGHT_MM)
     return known

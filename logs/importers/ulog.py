@@ -10,8 +10,7 @@
     vehicle_visual_odometry, else vehicle_mocap_odometry ->  /odometry: poses; a new frame at each reset_counter
     vehicle_optical_flow                                 ->  /optical_flow: over its range or the range finder's
 
-PX4 is FRD and NED already. Stamps are microseconds since boot (or since 1970, in simulation); the date is taken from the
-receiver's time_utc_usec. Field names changed over the versions: lat 1e-7 deg and alt mm until v1.14, latitude_deg since.
+Stamps are us since boot; the date is the receiver's time_utc_usec. Field names differ by version (lat 1e-7 deg until v1.14).
 """
 
 import io
@@ -97,10 +96,7 @@ def _receiver(data: Sequence[Any], notes: list[str]) -> Topic | None:
 
 
 class _Finite(io.BufferedReader):
-    """A file that ends: pyulog walks in a circle at the end of some damaged files.
-
-    Twice the size of the file is what the slowest walk needs that goes on a byte at a time.
-    """
+    """A file that ends after twice its size: pyulog loops at the end of some damaged files."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(io.FileIO(path))

@@ -1,8 +1,4 @@
-"""Least and greatest of signals in each of a limited number of equal spans of time, whatever the length of the flight.
-
-A plot cannot show more than a value or two per pixel, but a peak of one sample must stay. So of each span the extremes are kept;
-when the flight outgrows the spans, neighbours are joined and a span is twice as long.
-"""
+"""Extremes of signals in a limited number of equal spans of time; when the flight outgrows them, neighbours are joined."""
 
 from typing import Final
 

@@ -1,7 +1,4 @@
-"""What a report needs of a log and evaluation does not: gathered in the same pass, in memory that knows a limit.
-
-Signals at IMU rate become extremes per span of time; what comes at a few hertz is kept.
-"""
+"""Data of a report beyond the evaluation, gathered in the same pass in bounded memory (IMU rate: extremes per span)."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -72,7 +69,7 @@ class Frame:
 
 
 class Histogram:
-    """Counts of times in bins of a tenth of a decade, 0.1 ms to 100 s; what lies outside goes into the outermost bins."""
+    """Counts of times in bins of a tenth of a decade, 0.1 ms to 100 s; outliers in the outermost bins."""
 
     def __init__(self) -> None:
         decades = round(np.log10(_LONGEST_S / _SHORTEST_S))
@@ -87,10 +84,10 @@ class Histogram:
 
 @dataclass
 class Gathered:
-    """All of it. see() is shown every record of a log in order, then close().
+    """see() takes every record in order, then close().
 
-    signals: position ENU, velocity ENU, roll pitch heading in degrees (heading unwrapped), then 1.96 sigma of each of the nine,
-    then the 95 % radius; numbers: NUMBERS of the health; states: of the mode ("mode") and of each source (its topic).
+    signals: position, velocity ENU, roll pitch heading in degrees (unwrapped), 1.96 sigma of each, the 95 % radius; numbers:
+    NUMBERS of the health; states: of the mode ("mode") and of each source.
     """
 
     estimates: int = 0
@@ -240,10 +237,8 @@ def attitude_deg(q_wxyz: Array) -> Array:
 
 
 def sigmas(estimate: Trajectory) -> Array:
-    """Standard deviations (n, 9) of position and velocity along ENU, in m and m/s, and of roll, pitch, heading in degrees.
-
-    The attitude's rotation error about the axes of map is taken about the nose's direction, across it, and about up, which is
-    right to first order in the tilt.
+    """Standard deviations (n, 9) of position, velocity along ENU [m, m/s], and roll, pitch, heading [deg], to first order in
+    the tilt.
     """
     p = np.diagonal(estimate.covariance, axis1=1, axis2=2)[:, :3]
     R_mb = _matrices(estimate.q_wxyz)

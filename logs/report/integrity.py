@@ -61,7 +61,7 @@ def plots(levels: Sequence[Integrity], c: Comparison) -> str:
 
 
 def _held(t_ns: Times, values: Array) -> tuple[Times, Array]:
-    """Each value until the next one comes, for the spans of a plot are shorter than that; a longer pause than usual stays one."""
+    """Each value until the next one comes; a longer pause than usual stays a gap."""
     holds_ns = _USUAL * int(np.median(np.diff(t_ns))) if len(t_ns) > 1 else 0
     between = np.arange(t_ns[0], t_ns[-1], max(int(t_ns[-1] - t_ns[0]) // _POINTS, 1))
     row = np.searchsorted(t_ns, between, side="right") - 1

@@ -1,4 +1,4 @@
-"""The page of a log without an estimate: the reason, the rates and gaps of what there was, what became of each measurement."""
+"""The page of a log without an estimate: the reason, rates and gaps, decisions on measurements."""
 
 from collections import Counter
 from importlib import resources

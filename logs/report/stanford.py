@@ -17,10 +17,7 @@ _SHADES: Final = ("#9ecae9", "#56b4e9", "#2a8fd0", "#0072b2", "#00497a", "#002a4
 
 
 def stanford(error: Array, level: Array, limit_m: float, title: str) -> str:
-    """Of errors (n,) and protection levels (n,) in metres, both logarithmic; limit_m: alert limit, inf: none.
-
-    Infinite levels, and what is beyond the axes, stand at the border.
-    """
+    """Of errors (n,) and protection levels (n,) [m], logarithmic, values beyond the axes at the border; limit_m: inf: none."""
     finite = level[np.isfinite(level)]
     most = max([10.0, *(finite.tolist()), *(error.tolist()), *([limit_m] if np.isfinite(limit_m) else [])])
     highest = next((d for d in _DECADES if d > most), _DECADES[-1])

@@ -1,10 +1,8 @@
-"""The page that answers after a flight: position, uncertainty, reasons, faults.
+"""The report of a flight: position, uncertainty, reasons, faults, in one HTML file.
 
     write(Path("estimate.mcap"), Path("report.html"))
 
-One HTML file that needs nothing else: text and tables stand in it, a script draws what logs/report/charts.py describes. The log
-is read in one pass. Of more than 50 000 estimates (4 minutes at 200 Hz) errors are computed from every 2nd, 4th, ...; plots of
-the estimate itself keep the extremes of all.
+The log is read in one pass; beyond 50 000 estimates errors are of every 2nd, 4th, ..., plots keep all extremes.
 """
 
 from collections.abc import Callable
@@ -57,10 +55,7 @@ def write(
     illustrate: Illustrate = no_illustrations,
     progress: Callable[[float], None] | None = None,
 ) -> Page:
-    """Write the report of a log to `out`. Of a log that the estimator made nothing of, the page says why.
-
-    Raises LogError for a log that never went through the estimator, where `out` is the log, or cannot be written.
-    """
+    """Write the report of a log to `out`, also of one without an estimate. Raises LogError."""
     check_output(out, log)
     gathered = Gathered()
     try:
@@ -97,10 +92,7 @@ def compose(
     without_odometry: Path | None = None,
     illustrate: Illustrate = no_illustrations,
 ) -> Written:
-    """Write the report of what was gathered to `out`. Raises LogError where it cannot be written.
-
-    without_odometry: a log of the same flight, replayed without odometry.
-    """
+    """Write the report of gathered data to `out`; without_odometry: the same flight replayed without it. Raises LogError."""
     without = read(without_odometry).estimate if without_odometry else None
     evaluation = assess(collected, name, outage_s=outage_s, without_odometry=without)
     outages = find_outages(collected.aids, collected.health, collected.estimate, outage_s)["all"].spans

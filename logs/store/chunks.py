@@ -11,10 +11,8 @@ from models.untrusted.limits import check
 
 
 def content_of(chunk: Chunk, allowed: int) -> bytes:
-    """The records of a chunk, decompressed and checked against its size and CRC.
-
-    allowed: bytes that may still be decompressed. Raises TooLargeError where the chunk declares more, ValueError or the
-    decompressor's exception where it is damaged.
+    """The records of a chunk, checked against size and CRC; allowed: bytes. Raises TooLargeError, ValueError, or the
+    decompressor's own.
     """
     size = chunk.uncompressed_size
     check(size, len(chunk.data), allowed)

@@ -1,8 +1,4 @@
-"""An MCAP writer for many small messages: LZ4 chunks, byte for byte what mcap.writer.Writer writes, at a third of its cost.
-
-At IMU rate mcap's own writer, which packs a message field by field, is what a replay waits for; here a message is packed at once
-and a chunk's index when the chunk is closed. The records themselves are mcap's. Format: https://mcap.dev/spec.
-"""
+"""An MCAP writer for many small messages: LZ4 chunks, the bytes of mcap.writer.Writer at a third of its cost (mcap.dev/spec)."""
 
 import struct
 import zlib

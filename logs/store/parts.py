@@ -19,10 +19,9 @@ _RECOVERED: Final = ".recovered"  # before the suffix: what recovery could save 
 
 
 class PartsReader:
-    """To its user a LogReader of all parts, in the order in which they were recorded, whatever order they are given in.
+    """A LogReader of all parts, in the order of their recording.
 
-    source: a file, a folder with the parts of one flight, or files. Raises LogError. As with a LogReader, the attributes are
-    complete once the iteration is.
+    source: a file, a folder with the parts of one flight, or files. Attributes are complete after the iteration. Raises LogError.
     """
 
     def __init__(self, source: Path | Sequence[Path]) -> None:
@@ -102,7 +101,7 @@ def files_of(source: Path | Sequence[Path]) -> list[Path]:
 
 
 def flight_of(name: str) -> str:
-    """The flight that a file of this name is a part of (NAME of NAME-000.mcap); the name itself where it is no part."""
+    """The flight of a part's name (NAME of NAME-000.mcap), else the name itself."""
     numbered = _NUMBERED.fullmatch(name)
     return numbered[1] if numbered else name
 

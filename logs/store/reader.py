@@ -41,10 +41,10 @@ def check_output(out: Path, *inputs: Path) -> None:
 
 
 class LogReader:
-    """Iterates over the messages of an MCAP log; a context manager. Raises LogError for a file that is no MCAP log.
+    """Iterates over the messages of an MCAP log; a context manager. Raises LogError.
 
-    The attributes are complete once the iteration is: torn (no proper end), skipped_chunks (damaged places, each at least one
-    chunk lost), attachments, metadata, foreign (topics left out, for they are not CDR, and what they are).
+    Complete after the iteration: torn (no proper end), skipped_chunks (damaged places), attachments, metadata, foreign (topics
+    left out, not CDR).
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -97,7 +97,7 @@ class LogReader:
         return self._schemas
 
     def _names(self, channel_id: int) -> tuple[str, str, bytes] | None:
-        """Topic and type of a channel, and what completes messages of an older version of the type; None if it is not CDR."""
+        """Topic, type and completion for older versions of a channel's type; None: not CDR."""
         channel = self._file.channels[channel_id]
         schema = self._file.schemas.get(channel.schema_id)
         if channel.message_encoding != "cdr" or schema is None:

@@ -41,14 +41,11 @@ _QOS: Final = """\
 
 
 class Recorder:
-    """Writes messages as they come; a context manager, whose end makes the file whole.
+    """Writes messages as they come; a context manager, whose end completes the file. Equal calls write equal bytes. Raises
+    LogError.
 
-    metadata: of the record `landfix` (version, git, checksums); schemas: definitions of types that are neither ROS 2 Humble's nor
-    ours, looked up when such a message comes. Equal calls write equal bytes: no clock is read. Raises LogError.
-
-    An image has a chunk of its own: whoever reads by the index need not read it with the other topics.
-    A chunk is closed, and handed to the operating system, before the message that would make it span 0.1 s of log time. Against
-    a silence that never brings this message there is flush().
+    metadata: of the record `landfix`; schemas: definitions of other types, asked for when such a message comes. An image has a
+    chunk of its own. A chunk is closed before it would span 0.1 s of log time; flush() serves a silent log.
     """
 
     def __init__(

@@ -1,10 +1,7 @@
-"""MCAP records off a file that may be cut or damaged: everything that is whole, in file order, and never an exception.
+"""Whole MCAP records of a file that may be cut or damaged, in file order, without an exception (mcap.dev/spec).
 
-A record is opcode (1 byte), length (8 bytes) and content, so a cut ends the reading at the last whole record. A chunk that
-fails its CRC, or holds more bytes or records than models.untrusted.limits allows, is left out. Where the framing itself is
-damaged, reading goes on at the next compressed chunk that can be found, until more bytes have been tried in vain than
-_VAIN_RATIO times the size of the file: so the work is linear in that size.
-Format: https://mcap.dev/spec.
+A chunk with a wrong CRC or beyond models.untrusted.limits is left out. Where the framing is damaged, reading continues at the
+next compressed chunk, up to _VAIN_RATIO times the file's size in vain.
 """
 
 import contextlib
@@ -73,11 +70,10 @@ class LogError(Exception):
 
 
 class RecordFile:
-    """The messages of an MCAP file; what else was in it stands in the attributes once the messages are through.
+    """The messages of an MCAP file; attributes are complete after them.
 
-    profile: of the header, "" where it is lost; channels, schemas: by id; torn: no proper end; skipped_chunks: damaged places,
-    each at least one chunk; orphans: messages in whole chunks, but of a channel whose definition was lost; expected: the number
-    of messages its writer counted, None where that is lost.
+    profile: "" where lost; channels, schemas: by id; torn: no proper end; skipped_chunks: damaged places; orphans: messages of
+    a lost channel; expected: the writer's count, None where lost.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:

@@ -1,4 +1,4 @@
-"""Making a torn or damaged log whole again: every record that is whole goes, as it is, into a new file with index and end."""
+"""A torn or damaged log: all whole records go into a new file with index and end."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -42,10 +42,7 @@ class RecoverSummary(msgspec.Struct, frozen=True):
 def recover(
     src: str | os.PathLike[str], dst: str | os.PathLike[str], progress: Callable[[float], None] | None = None
 ) -> RecoverSummary:
-    """Write what is whole in `src` to `dst`, which appears only when it is complete; progress is called with the fraction read.
-
-    Raises LogError when src is no MCAP file, dst is src, or dst cannot be written.
-    """
+    """Write the whole records of `src` to `dst`, which appears complete; progress: fraction read. Raises LogError."""
     source, target = Path(src), Path(dst)
     records = RecordFile(source)
     part = target.with_name(target.name + ".part")

@@ -1,4 +1,4 @@
-"""Messages as bytes: ROS 2 CDR, the texts of the types, axes and stamps. The ROS conventions (ENU, FLU) end in `codec`.
+"""Messages as bytes: ROS 2 CDR, type texts, axes and stamps. Begin with `codec` and `schemas`.
 
-Begin with `codec` and `schemas`. May import models.
+May import models.
 """

@@ -1,7 +1,6 @@
-"""Axes at the wire: map ENU <-> n NED, base_link FLU <-> body FRD.
+"""Axes at the wire: map ENU <-> n NED, base_link FLU <-> body FRD, signed permutations that work both ways.
 
-Both changes of axes are signed permutations and their own inverses, so every function here works both ways. Covariances are
-permuted element by element, never multiplied: a NaN or a "not given" 1e6 stays in its own place.
+Covariances are permuted, never multiplied: a NaN or "not given" stays in its element.
 """
 
 import math
@@ -32,10 +31,7 @@ def body(v: Vec3) -> Vec3:
 
 
 def attitude(q_wxyz: Quat) -> Quat:
-    """q_nb <-> q of base_link in map: q' = q(ENU <- NED) q q(FRD <- FLU), up to the sign.
-
-    q(ENU <- NED) is half a turn about (1, 1, 0) / sqrt(2), q(FRD <- FLU) half a turn about x. The norm is kept as it came.
-    """
+    """q_nb <-> q of base_link in map: q' = q(ENU <- NED) q q(FRD <- FLU), up to the sign; the norm is kept."""
     w, x, y, z = q_wxyz
     s = math.sqrt(0.5)
     return s * (w + z), s * (x + y), s * (x - y), s * (w - z)
@@ -72,17 +68,15 @@ def body_rows(j: Array) -> Array:
 
 
 def body_covariance(p: Array) -> Array:
-    """FLU <-> FRD of a (6, 6) covariance of velocity and angular rate along the body's axes, or of a (3, 3) one."""
+    """FLU <-> FRD of a covariance of velocity and rate (6, 6), or of one of them (3, 3)."""
     sign = _BODY_SIGN6[: len(p)]
     turned: Array = p * np.outer(sign, sign)
     return turned
 
 
 class ImuMounting(msgspec.Struct, frozen=True):
-    """How the IMU sits in the vehicle: the axes its driver uses, and its attitude in the body.
-
-    roll_deg, pitch_deg, yaw_deg turn the body's axes into the IMU's: x_b = Rz(yaw) Ry(pitch) Rx(roll) x_imu, both in FRD.
-    others: roll, pitch, yaw of further IMUs, by topic.
+    """Axes of the IMU's driver, and its attitude in the body: x_b = Rz(yaw) Ry(pitch) Rx(roll) x_imu, both FRD; others: by
+    topic.
     """
 
     axes: Literal["flu", "frd"] = "flu"

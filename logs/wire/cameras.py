@@ -1,9 +1,8 @@
-"""The cameras for viewers: CameraInfo of each, and where they sit on the body, in /tf_static.
+"""The cameras for viewers: CameraInfo of each, and their pose on the body in /tf_static.
 
     x_base = F (R_bk x_k + p_bk),   F = diag(1, -1, -1)  (FRD -> FLU);   R_br = R_bc R_rc^T,  p_br = p_bc - R_br t_rc
 
-k: left or right camera, right, down, forward (REP 103's optical frame). Each CameraInfo is that of the image as it was taken:
-K and D of the calibration, R = I, P = [K | 0]. The base line is in the transforms, not in P: nothing here is rectified.
+k: left or right camera (REP 103's optical frame). CameraInfo is of the raw image: K, D, R = I, P = [K | 0].
 """
 
 from typing import Final

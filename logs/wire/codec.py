@@ -1,8 +1,6 @@
-"""Wire <-> records, the one door: ROS 2 CDR in ENU / FLU outside, models.messages in NED / FRD inside.
+"""Wire <-> records: ROS 2 CDR in ENU / FLU outside, models.messages in NED / FRD inside.
 
-header.stamp is the time of validity; the time of arrival (MCAP's log time) comes from whoever received the bytes. Bytes that
-are no message of the expected type become an Unusable; strange *values* (NaN, a zero covariance, a quaternion that is not of
-unit length) pass through as they came, for the estimator to judge.
+header.stamp is validity; arrival comes from the receiver. Bytes of another type become an Unusable; strange values pass through.
 """
 
 from logs.wire.axes import ImuMounting

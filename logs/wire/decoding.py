@@ -72,10 +72,7 @@ class Topics(SensorTopics, frozen=True):
 
 
 class Odometry(msgspec.Struct, frozen=True, eq=False):
-    """A nav_msgs/msg/Odometry read back: pose in n, velocity in n, angular rate in b (rad/s).
-
-    pose_covariance: (6, 6), x y z rx ry rz about the axes of n; twist_covariance: (6, 6), velocity and rate along b.
-    """
+    """A nav_msgs/msg/Odometry: pose, velocity in n, rate in b; pose_covariance, twist_covariance: (6, 6), along n and b."""
 
     t_ns: int
     p_n: Vec3
@@ -208,7 +205,7 @@ def decode_odometry_request(data: bytes, arrived_ns: int) -> OdometryRequest:
 
 
 def is_own_transform(data: bytes) -> bool:
-    """Whether a /tf message is one of our own outputs, map -> base_link alone, which a replay must not take for an input."""
+    """Whether a /tf message is map -> base_link alone, one of our own outputs."""
     try:
         (transform,) = _deserialize(data, schemas.TF).transforms
     except ValueError:  # no TFMessage, or not of one transform

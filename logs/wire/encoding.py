@@ -126,11 +126,7 @@ def encode_truth(t_ns: int, p_n: Array | Vec3, v_n: Array | Vec3, q_nb_wxyz: Arr
 
 
 def encode_input(message: Input, mounting: ImuMounting | None = None) -> Encoded:
-    """A measurement as its sensor would have sent it. mounting: the IMU's, default FLU axes along the body's.
-
-    A PoseFix's common covariance has no place in its ROS type: the sum, the fix's whole error, is written.
-    Raises ValueError for an Unusable: what could not be read cannot be written.
-    """
+    """A measurement as its sensor sends it; a PoseFix has the sum of its covariances. Raises ValueError for an Unusable."""
     match message:
         case ImuSample():
             return packed(message.topic, schemas.IMU, **_imu(message, (mounting or ImuMounting()).of(message.topic)))

@@ -1,7 +1,5 @@
-"""Images, to and from the wire; the one place where a camera's image file is decoded.
-
-sensor_msgs/msg/Image holds the pixels, CompressedImage a JPEG or PNG file. Inside, an image is an array: (H, W) grey of 8 or 16
-bit, or (H, W, 3) BGR of 8 bit.
+"""Images to and from the wire, the one place where an image file is decoded; inside (H, W) grey of 8 or 16 bit, or (H, W, 3)
+BGR.
 """
 
 from typing import Any, Final, TypeAlias

@@ -1,19 +1,12 @@
-"""Increments of odometry from short steps: of a camera (dp, dR), of an optical flow over a range, and the speed of wheels.
+"""Increments of odometry from short steps of a camera (dp, dR), of flow over a range, and the speed of wheels.
 
-A camera's step is seen in the body as it is at its end; an increment is seen in that at its beginning, with the turn dR = exp(a):
+A camera's step is seen in the body at its end, an increment in that at its beginning, dR = exp(a):   dp = dR p
 
-    dp = dR p
+Flow f and gyroscope turn g, rad about x and y of a camera that looks along the body's z, at the range r:
 
-Flow f and the turn g that a gyroscope saw over the same time, rad about x and y of a camera that looks down along the body's z.
-At the range r, half a turn later than where the step begins:
+    dp = exp(g / 2) (r (f_y - g_y), -r (f_x - g_x), 0)         (x and y given; an error of r is one of scale, `systematic`)
 
-    dp = exp(g / 2) (r (f_y - g_y), -r (f_x - g_x), 0)
-
-Only x and y are given. An error of r is an error of scale: it stays with the source (`systematic` of OdometryDelta).
-
-Steps are chained to increments of at least a given time, so that clones and noise count per increment, not per message.
-
-Wheels count the way s that they have rolled, forward positive. Their speed, in the middle of the time between two counts:
+Steps are chained to increments of a least duration. Wheels, s rolled forward, in the middle between two counts:
 
     v((t_0 + t_1) / 2) = mean over the wheels of (s_1 - s_0) / (t_1 - t_0)
 """
@@ -147,7 +140,7 @@ class Wheels:
         self._before: tuple[int, tuple[float, ...]] | None = None
 
     def add(self, t_ns: int, metres: Sequence[float]) -> list[Reading]:
-        """metres: the way of each wheel since its start, at t_ns; nan or no wheel: lost. Raises ValueError for what is no way."""
+        """metres: of each wheel since its start, at t_ns; nan: lost. Raises ValueError."""
         now = tuple(metres)
         if any(abs(way) > _FARTHEST_M for way in now):
             raise ValueError("a wheel's distance is none")

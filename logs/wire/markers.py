@@ -1,7 +1,4 @@
-"""Landmarks for viewers: visualization_msgs/msg/MarkerArray in map, as Foxglove and RViz draw it.
-
-Two lists of lines, the landmarks in use and the others, and the name of each. The message replaces what was drawn before.
-"""
+"""Landmarks for viewers: a MarkerArray in map of those in use, the others, and the names; it replaces the one before."""
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import Any, Final

@@ -1,7 +1,6 @@
-"""Message types on the wire: ROS 2 Humble's own and landfix_msgs, whose .msg texts are written here and nowhere else.
+"""Message types on the wire: ROS 2 Humble's and landfix_msgs, whose .msg texts stand here.
 
-A schema is what an MCAP file or a ROS tool needs to read a message: the ros2msg text with all its dependencies, and the
-RIHS01 hash of it (REP-2011) that Zenoh keys and channel metadata carry.
+A schema: the ros2msg text with its dependencies, and its RIHS01 hash (REP-2011).
 """
 
 from functools import cache
@@ -207,7 +206,7 @@ _LATER: Final = {LANDMARK_FIX: (b"directions", 8)}  # a field that a type's firs
 
 
 def missing_end(name: str, text: bytes) -> bytes:
-    """What a message whose type was once defined by `text` lacks to be one of today's: empty sequences at its end, or nothing."""
+    """What a message of a type once defined by `text` lacks at its end today: empty sequences, or nothing."""
     field, size = _LATER.get(name, (b"", 0))
     return bytes(size) if size and field not in text else b""
 

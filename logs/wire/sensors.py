@@ -1,6 +1,6 @@
-"""The optional sensors on the wire: topic and ROS 2 type of each, and what of the type's fields is its reading.
+"""The optional sensors on the wire: topic, ROS 2 type and fields of the reading; SI, vectors FLU <-> FRD.
 
-An entry is a line in SensorTopics and one in SENSORS. Values are SI; a vector is turned from the body's FLU axes to FRD and back.
+An entry is a line in SensorTopics and one in SENSORS.
 """
 
 import math

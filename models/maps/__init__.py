@@ -1,5 +1,4 @@
-"""Landmarks on a map: outlines, heights and colours, how they are looked up, and the map as GeoJSON.
+"""Landmarks on a map: outlines, heights and colours, look-up, and the map as GeoJSON text. Begin with `landmarks`.
 
-Pure functions: text and arrays go in and come out, `estimator.map_files` reads and writes the files. Begin with `landmarks`.
 May import the modules of models, not models.sim.
 """

@@ -270,7 +270,7 @@ def _other_form(data: bytes) -> str:
 
 
 def _otherwise(data: bytes, error: str) -> list[msgspec.Raw]:
-    """Features of a file that is not one JSON text: one a line, or with the NaN that some programs write (read as null)."""
+    """Features of a file that is not one JSON text: one a line, or with NaN (read as null)."""
     try:
         lines = msgspec.json.Decoder(msgspec.Raw).decode_lines(data)
         if len(lines) > 1:

@@ -1,8 +1,4 @@
-"""The map's file: GeoJSON, so that any map program opens it. docs/map.md says what stands in it.
-
-Outlines are roof edges in WGS-84 longitude and latitude, or in the system a `crs` member names. A feature is judged by itself:
-a bad one gets its reason and the others go on.
-"""
+"""The map's file: GeoJSON with roof edges in WGS-84 longitude and latitude, or in the system of a `crs` member (docs/map.md)."""
 
 import math
 import re
@@ -83,7 +79,7 @@ def read(data: bytes, defaults: Defaults) -> tuple[Vec3, Columns, MapReport, tup
 
 
 def origin_of(data: bytes) -> Vec3 | None:
-    """The origin in the head of a file of ours, of which `data` are the first bytes; None: only reading all of it will tell."""
+    """The origin in the first bytes of a file of ours; None: the whole file has to be read."""
     head, features, _ = data.partition(b'"features"')
     if not features:
         return None
@@ -96,10 +92,9 @@ def _on_earth(origin: Vec3) -> bool:
 
 
 def exchanged(lonlat: Array, offsets: NDArray[np.int64]) -> bool:
-    """Whether the outlines' corners are right angles rather with latitude and longitude exchanged.
+    """Whether the outlines' corners are right angles only with latitude and longitude exchanged.
 
-    Buildings have right angles on the ground, where a degree of longitude is cos(latitude) of one of latitude. Outlines that run
-    north and east, and places where both cosines are alike, tell nothing.
+    A degree of longitude is cos(latitude) of one of latitude; outlines along the axes determine nothing.
     """
     lonlat, offsets = lonlat[: offsets[_ENOUGH]] if len(offsets) > _ENOUGH else lonlat, offsets[: _ENOUGH + 1]
     if len(lonlat) < 40 or np.abs(lonlat).max() > 90.0:
@@ -212,7 +207,7 @@ def write(
     automatic: bool = False,
     alike: Alike | None = None,
 ) -> bytes:
-    """The file of a map; one feature a line. Places to 0.1 mm, lengths to 1 mm. alike: what can be taken for something else."""
+    """The file of a map, one feature a line; positions to 0.1 mm, lengths to 1 mm; alike: ambiguous landmarks."""
     counts = np.diff(columns.offsets)
     roof_d = np.repeat(columns.base_d - columns.height_m, counts)
     lat, lon, _ = pymap3d.ned2geodetic(columns.vertices[:, 0], columns.vertices[:, 1], roof_d, *origin)

@@ -1,7 +1,6 @@
-"""What public map data call what lies on the ground: pools, courts, parking bays, water, and lines with a width.
+"""OpenStreetMap's tags of objects on the ground: pools, courts, parking bays, water, and lines with a width.
 
-Tags are OpenStreetMap's. The width of a line is its `width`, else 3.25 m for each of its `lanes`, else what is usual for its kind
-(the carriageway, without pavements), which is 1 m uncertain on either side.
+The width of a line is its `width`, else 3.25 m for each of its `lanes`, else the usual one of its kind, +-1 m on either side.
 """
 
 from collections.abc import Mapping
@@ -29,7 +28,7 @@ _USUAL_M: Final[Mapping[str, Mapping[str, float]]] = {
 
 
 def lies_on_ground(tags: Mapping[str, str]) -> bool:
-    """Whether an area with such tags has no height: it is no building, and one of these kinds, or a square or street."""
+    """Whether an area with such tags has no height."""
     if tags.get("building", "no") != "no" or tags.get("parking") in _BUILT:
         return False
     return "highway" in tags or any(tags.get(key) in kinds for key, kinds in _KINDS.items())

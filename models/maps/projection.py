@@ -32,10 +32,7 @@ _DEGREES = (4326, 4979)  # WGS 84 in degrees, GeoJSON's own; the second has heig
 
 
 def to_lonlat(epsg: int, xy: Array) -> Array | None:
-    """Longitude and latitude [deg] (N, 2) of coordinates (N, 2) in an EPSG system; None where the system is not known here.
-
-    Known: WGS 84 (4326), WGS 84 / UTM (32601-32660, 32701-32760), web Mercator (3857).
-    """
+    """Longitude, latitude [deg] (N, 2) of coordinates (N, 2) in EPSG 4326, 32601-32660, 32701-32760 or 3857; else None."""
     if epsg in _DEGREES:
         return xy
     if epsg == 3857:

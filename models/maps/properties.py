@@ -1,7 +1,7 @@
-r"""Properties of a GeoJSON feature -> a landmark's attributes: our own names, and those of public building data.
+r"""Properties of a GeoJSON feature -> a landmark's attributes.
 
-Own names carry the unit (`height_m`) and win. Read as well: OpenStreetMap's (`height`, `building:levels`, `roof:levels`,
-`roof:colour`, `building:colour`; "7.5", "7.5 m", "25 ft", "25'6\""), and the plain ones of other open building sets.
+Our own names carry the unit (`height_m`) and win over OpenStreetMap's (`height`, `building:levels`, `roof:colour`; "7.5 m",
+"25'6\"") and those of other open building sets.
 """
 
 import math

@@ -1,11 +1,8 @@
-"""A road, track, canal or railway: a line with a width as outlines on the ground.
+"""A road, track, canal or railway: a line with a width w as outlines on the ground.
 
-Each corner p_i of the line is moved to both sides along the bisector of its neighbours' normals,
+    p_i +- w / 2 m_i,      m_i = (n_a + n_b) / (1 + n_a . n_b)      (n_a, n_b: unit normals before and after corner p_i)
 
-    p_i +- w / 2 m_i,      m_i = (n_a + n_b) / (1 + n_a . n_b)      (n_a, n_b: unit normals before and after it)
-
-so that both sides are parallel to the line, w apart; turns of more than 120 degrees are cut off there. A long line is cut into
-pieces of PIECE_M and less: each is a landmark, as a house is.
+Turns of more than 120 degrees are cut off. A long line is cut into pieces of at most PIECE_M, each a landmark.
 """
 
 import math

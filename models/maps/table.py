@@ -35,8 +35,8 @@ class Columns(msgspec.Struct, frozen=True, eq=False):
 
 
 class Alike(msgspec.Struct, frozen=True, eq=False):
-    """Of N landmarks: how many look like each near by (N,), the nearest of them [m] (N,), inf for none, and the nearest shift [m]
-    at which what is around looks the same too (N,), inf for none.
+    """Of N landmarks: number of similar ones nearby (N,), the nearest of them [m] (N,), and the nearest shift [m] at which the
+    surroundings look the same (N,); inf for none.
     """
 
     count: NDArray[np.int64]
@@ -56,9 +56,8 @@ class Finding(msgspec.Struct, frozen=True):
 
 
 class MapReport(msgspec.Struct, frozen=True, eq=False):
-    """What reading a file found: rejected features, remarks, how many landmarks lacked a property and got its default.
-
-    doubt: what is suspicious about the file as a whole, "" for nothing.
+    """Rejected features, remarks, and how many landmarks got the default of a property; doubt: suspicion about the whole file,
+    or "".
     """
 
     features: int = 0
@@ -78,9 +77,8 @@ class MapError(ValueError):
 
 
 class Defaults(msgspec.Struct, frozen=True):
-    """What features do not say themselves: height of the roof, horizontal standard deviation.
-
-    Of the whole map, where it is known: the origin, and by how much all of it may be shifted, horizontal and vertical sigma.
+    """Height of the roof and horizontal sigma of features without them; of the whole map its origin and common shift, where
+    known.
     """
 
     height_m: float = 6.0

@@ -1,10 +1,9 @@
-"""What aids the inertial navigation: a GNSS receiver and 6-DoF pose fixes, with their noise, delays, outages and false
-measurements.
+"""A GNSS receiver and 6-DoF pose fixes, with noise, delays, outages and false measurements.
 
-    GNSS:      z = p_n + R_nb l_b + s + n,   v_z = v_n + R_nb (omega_b x l_b) + n_v,   s' = -s/tau + w   (slow error)
+    GNSS:      z = p_n + R_nb l_b + s + n,   v_z = v_n + R_nb (omega_b x l_b) + n_v,   s' = -s/tau + w
     pose fix:  z = p_n + c_p + n_p,          R_z = exp(-c_theta - n_theta) R_nb        (errors about the axes of n)
 
-c is the error common to all fixes of a run (map, rig). A measurement keeps its true time; delay only moves its arrival.
+c: error common to all fixes of a run (map, rig).
 """
 
 import math
@@ -24,11 +23,10 @@ Stamps = NDArray[np.int64]
 
 
 class Gnss(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A GNSS receiver. Three numbers are north, east, down.
+    """A GNSS receiver; three numbers are north, east, down.
 
-    slow_sigma_m, slow_tau_s: Gauss-Markov error of each axis, part of the covariance that the receiver reports;
-    delay_s: from validity to arrival, a number or the [least, most] of a random one; stamp_lag_s: the stamps are late by
-    this (the filter's [gnss] delay_s); antenna_b_m: lever arm; outages_s: intervals without reception.
+    slow_sigma_m, slow_tau_s: Gauss-Markov error per axis; delay_s: validity to arrival, a number or [least, most]; stamp_lag_s:
+    the stamps are late by this; antenna_b_m: lever arm; outages_s: intervals without reception.
     """
 
     rate_hz: Rate = 5.0
@@ -59,10 +57,10 @@ class FalseSpan(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 
 class PoseFixes(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A source of 6-DoF fixes. Three numbers are the axes of n.
+    """A source of 6-DoF fixes; three numbers are the axes of n.
 
-    delay_s, outages_s: as Gnss; outlier_share: of the fixes, with an extra error of random direction and of a size within
-    outlier_m and outlier_deg; common_sigma_*: of the error drawn once for the run, reported in covariance_common or not.
+    delay_s, outages_s: as Gnss; outlier_share: of fixes with an extra error within outlier_m and outlier_deg; common_sigma_*:
+    of the error drawn once for the run.
     """
 
     rate_hz: Rate = 2.0

@@ -1,8 +1,6 @@
-"""The air: a wind with gusts, and what a pitot tube reads in it.
+"""A horizontal wind with gusts, smooth, with its derivative in closed form, and the reading of a pitot tube.
 
-    w(t) = w_0 + sigma sum_i sqrt(2 / N) sin(2 pi t / T_i + phi_i),   T_i from T / 3 to 3 T, in even steps of ln T
-
-horizontal, smooth, with its derivative in closed form, for the attitude of what flies in it follows from both.
+w(t) = w_0 + sigma sum_i sqrt(2 / N) sin(2 pi t / T_i + phi_i),   T_i from T / 3 to 3 T, in even steps of ln T
 """
 
 import math

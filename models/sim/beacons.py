@@ -1,7 +1,4 @@
-"""Ranges to beacons that stand at known points, as ultra-wideband radios measure them.
-
-z = |b - p - R_nb l| + s + n,   s constant for the run: antenna delay and survey
-"""
+"""Ranges to beacons at known points (ultra-wideband): z = |b - p - R_nb l| + s + n, s constant for the run."""
 
 import msgspec
 import numpy as np
@@ -30,7 +27,7 @@ def topic_of(k: int) -> str:
 def measure_ranges(
     beacons: Beacons, t_ns: NDArray[np.int64], epoch_ns: int, p_n: Array, R_nb: Array, rng: np.random.Generator
 ) -> list[Reading]:
-    """The ranges at the instants t_ns (n,) of the motion p_n (n, 3), R_nb (n, 3, 3); each beacon rate_hz times a second."""
+    """Ranges at the instants t_ns (n,) of the motion p_n (n, 3), R_nb (n, 3, 3), rate_hz times a second from each beacon."""
     antenna = p_n + R_nb @ np.array(beacons.antenna_b_m)
     readings: list[Reading] = []
     period_ns = round(1e9 / beacons.rate_hz)

@@ -1,7 +1,4 @@
-"""Cameras in a scenario: which rig looks at which world, how images are taken, and when there are none that help.
-
-Numbers only; the images are drawn by vision.synthetic.
-"""
+"""Cameras in a scenario: rig, world, exposure and outages, as numbers; vision.synthetic draws the images."""
 
 from typing import Annotated, Literal
 
@@ -13,11 +10,10 @@ Pixels = Annotated[int, msgspec.Meta(ge=64, le=4096)]
 
 
 class Village(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The world below, and how well the map knows it; truth is drawn from the sigmas.
+    """The world below, and the map's errors.
 
-    layout: houses anywhere, along streets, or look-alikes; area_m: side of the square, spacing_m: between buildings; clear_m:
-    nothing stands so near the place of take-off; painted: share of strong colours; unmapped: share of buildings that no map has;
-    gone: share of the map that no longer stands; seed: another village.
+    layout: anywhere, along streets, or similar landmarks; area_m: side of the square, spacing_m: between buildings; clear_m: free
+    radius around the take-off; painted: share of strong colours; unmapped, gone: shares; seed: another village.
     """
 
     layout: Literal["village", "grid", "lookalikes"] = "village"
@@ -36,10 +32,8 @@ class Village(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 class Cameras(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A stereo rig of `width` x `height` pixels that looks down by -pitch_deg (-90: straight down); one_camera: its left one.
 
-    sees: colour, grey (8 bit), or thermal: by night, 16 bit, which no JPEG holds;
-    exposure_s: blurs moving images; haze_per_m: extinction; light_swing: slow changes of the light, as a share of it;
-    jpeg_quality: 1 to 100, 0 for pixels as they are; delay_s: from exposure to arrival; outages_s: no images; dark_s: images
-    of a covered lens; odometry: whether the configuration switches visual odometry on, over the level ground of this world.
+    sees: colour, grey (8 bit), or thermal (16 bit, night); exposure_s: motion blur; haze_per_m: extinction; light_swing: share;
+    jpeg_quality: 0: none; delay_s: exposure to arrival; outages_s: no images; dark_s: lens covered; odometry: visual odometry on.
     """
 
     rate_hz: Rate = 2.0

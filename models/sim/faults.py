@@ -1,8 +1,6 @@
-"""Faults: pure transforms of a list of messages, each with a name, an interval and a seed of its own; they compose in order.
+"""Faults: pure transforms of a list of messages, with name, interval and seed; they compose in order of arrival.
 
-    messages' = fault(messages),   applied to the messages with  start_s <= t - epoch < end_s  of the fault's topics
-
-A fault never changes a message, it makes another; the result is in order of arrival again.
+messages' = fault(messages),   applied to messages of the fault's topics with  start_s <= t - epoch < end_s
 """
 
 import math

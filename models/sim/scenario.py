@@ -1,9 +1,7 @@
-"""A scenario: a vehicle, its sensors and what goes wrong; simulated, it is a list of messages and the truth behind them.
+"""A scenario: vehicle, sensors and faults; simulate(scenario, seed) -> messages and truth.
 
-    simulate(scenario, seed) -> Simulation
-
-Equal scenario and seed give equal messages. Every sensor draws from a random stream of its own, the delays last, so that
-switching a delay or a second sensor on leaves all measured values as they were.
+Equal scenario and seed give equal messages. Each sensor has a random stream of its own, so that another sensor or delay leaves
+its values as they were.
 """
 
 from dataclasses import dataclass
@@ -30,11 +28,10 @@ _HOME = (47.3977, 8.5456, 488.0)  # lat_deg, lon_deg, alt_m: a field near Zurich
 
 
 class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What a scenario file may say; everything has a default. Sensors left out are not on board.
+    """Contents of a scenario file; sensors left out are not on board.
 
-    origin: latitude and longitude in degrees, height above the WGS-84 ellipsoid in m; without it the Earth stands still and
-    there is no GNSS (geographic = false). ticks_hz: rate of the clock messages that let an estimator notice a silent IMU.
-    other_imus: in the same place as the first, on /imu2, /imu3 and so on.
+    origin: deg, deg, m above the ellipsoid; none (geographic = false): no Earth rate, no GNSS; ticks_hz: of clock messages;
+    other_imus: at the same position, on /imu2, /imu3 and so on.
     """
 
     name: str = "scenario"
@@ -64,8 +61,8 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 class Truth:
     """The true motion at IMU rate; body against n, SI.
 
-    t_ns (n,); p_n, v_n, omega_b (n, 3); q_nb_wxyz (n, 4); R_nb (n, 3, 3); gyro_b, accel_b (n, 3): what a perfect IMU would
-    measure, Earth rate and gravity included; gyro_bias, accel_bias (n, 3).
+    t_ns (n,); p_n, v_n, omega_b (n, 3); q_nb_wxyz (n, 4); R_nb (n, 3, 3); gyro_b, accel_b (n, 3): of a perfect IMU;
+    gyro_bias, accel_bias (n, 3).
     """
 
     t_ns: NDArray[np.int64]
@@ -87,9 +84,9 @@ class Truth:
 
 @dataclass(frozen=True, slots=True)
 class Simulation:
-    """Messages in order of arrival, and what the estimator must not see: the truth, and which pose fixes are false (t_ns).
+    """Messages in order of arrival, the truth, and which pose fixes are false (t_ns).
 
-    imu_noise: the densities of the grade, without mismatch; config_toml: the landfix configuration that fits.
+    imu_noise: the grade's densities; config_toml: the configuration that fits.
     """
 
     messages: list[Input]

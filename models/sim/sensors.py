@@ -1,11 +1,8 @@
-"""The IMU: what true motion feels like, and the errors a grade of instrument adds to it.
+"""The IMU: specific force and rate of the true motion, and the errors of a grade of instrument (Groves 2013, eq. 5.28, 5.44).
 
-    f_b     = R_nb^T (a_n + 2 w_ie x v_n - g_n(p))          specific force; w_ie: Earth rate, 0 where the place is unknown
-    omega_b = omega_nb + R_nb^T w_ie
-    y_k     = M x_k + b_k + n_k,   n_k ~ N(0, density^2 / dt),   b_{k+1} = b_k + N(0, walk^2 dt)
-
-n is fixed to the Earth, so gravity here includes the centrifugal part and there is no transport rate (Groves 2013, eq. 5.28,
-5.44 in an Earth-fixed tangent frame). Samples are instantaneous values, as ImuSample says.
+f_b     = R_nb^T (a_n + 2 w_ie x v_n - g_n(p))          w_ie: Earth rate, 0 without an origin
+omega_b = omega_nb + R_nb^T w_ie
+y_k     = M x_k + b_k + n_k,   n_k ~ N(0, density^2 / dt),   b_{k+1} = b_k + N(0, walk^2 dt)
 """
 
 import math
@@ -56,11 +53,10 @@ GRADES = {
 
 
 class Imu(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """An IMU of a grade; the second group are errors that the filter's model does not know (all off by default).
+    """An IMU of a grade; errors of the second group are unknown to the filter's model (off by default).
 
-    turn_on: multiplies the bias the IMU wakes up with; delay_s: from measuring to arriving.
-    noise_multiplier: of the white noise; scale_sigma: ratio; misalignment_deg: of each axis; *_step: quantisation;
-    *_limit: saturation.
+    turn_on: factor on the initial bias; delay_s: to arrival; noise_multiplier: of the white noise; scale_sigma: ratio;
+    misalignment_deg: of each axis; *_step: quantisation; *_limit: saturation.
     """
 
     grade: Literal["hobby", "flight_controller", "industrial", "tactical"] = "flight_controller"
@@ -79,7 +75,7 @@ class Imu(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
 
 @dataclass(frozen=True, slots=True)
 class ImuRecord:
-    """What the IMU said and what was true, each (n, 3): rad/s, m/s^2. y = x + bias + noise where there is no mismatch."""
+    """Measured and true (n, 3): rad/s, m/s^2; y = x + bias + noise without mismatch."""
 
     gyro_b: Array
     accel_b: Array
@@ -90,10 +86,7 @@ class ImuRecord:
 
 
 def gravity_n(p_n: Array, origin: Origin | None) -> Array:
-    """Gravity at the places p_n (n, 3), in n's axes (n, 3), m/s^2; along n's z and standard where the origin is unknown.
-
-    g_n = g(lat, h) * down(lat, lon), the ellipsoid's normal at the place turned into the axes of the origin.
-    """
+    """Gravity (n, 3) [m/s^2] at p_n (n, 3) in n's axes, g(lat, h) * down(lat, lon); standard where the origin is unknown."""
     if origin is None:
         return np.broadcast_to([0.0, 0.0, GRAVITY], p_n.shape)
     lat, lon, alt = pymap3d.ned2geodetic(*p_n.T, origin.lat_deg, origin.lon_deg, origin.alt_m, deg=True)

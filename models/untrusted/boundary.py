@@ -10,10 +10,7 @@ from models.untrusted.toml_text import one_line
 
 @contextmanager
 def refusing(error: type[Exception], name: object, *passed: type[Exception]) -> Iterator[None]:
-    """Raises `error`, one line that begins with name, for any exception but `error` itself and those to be passed.
-
-    The place is the function of ours in which it was raised: what the file's bytes were taken for there.
-    """
+    """Raises `error`, one line with name and the function of ours, for any exception but `error` and those to be passed."""
     try:
         yield
     except (error, *passed):

@@ -11,8 +11,8 @@ _STEP: Final = 64 * 1024  # bytes
 
 
 class GzipFile(io.RawIOBase):
-    """The content of all members. torn: the end is missing or damaged, once it is read. Raises ValueError: no gzip file;
-    TooLargeError; OSError where it cannot be opened.
+    """The content of all members; torn: the end is missing or damaged. Raises ValueError (no gzip file), TooLargeError,
+    OSError.
     """
 
     def __init__(self, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Size and depth of an image as its header declares them: before a decoder takes memory for its pixels.
+"""Size and depth of an image by its header, before a decoder takes memory for its pixels.
 
 JPEG (ITU-T T.81, B.2.2), PNG (ISO 15948, 11.2.2), TIFF 6.0 and BigTIFF, BMP, WebP (RFC 9649), PBM to PPM (Netpbm).
 """
@@ -38,7 +38,7 @@ _TIFF_SIZES: Final = {3: "H", 4: "I", 16: "Q"}
 
 
 def image_header(data: Bytes) -> ImageHeader | None:
-    """The header of a file, of which its first bytes may be enough; None where it is no image of these formats, or torn."""
+    """The header of a file by its first bytes; None: no image of these formats, or torn."""
     for magic, read in _FORMATS.items():
         if data[: len(magic)] == magic:
             try:

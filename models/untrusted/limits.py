@@ -1,9 +1,9 @@
-"""How much may come out of how little: one bound for all that is unpacked or decoded.
+"""One bound for all that is unpacked or decoded; n: bytes of the file read so far.
 
-    allowed(n) = SPARE_BYTES + ratio n          n: bytes of the file read so far
+    allowed(n) = SPARE_BYTES + ratio n
     records(n) = SPARE_RECORDS + n
 
-A piece that is unpacked at once (a chunk, a message, an image) is bounded by PIECE_BYTES too, a text by TEXT_BYTES.
+A piece unpacked at once is bounded by PIECE_BYTES too, a text by TEXT_BYTES.
 """
 
 from typing import Final

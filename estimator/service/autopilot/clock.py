@@ -1,7 +1,6 @@
-"""The autopilot's clock, which counts from its boot: from TIMESYNC within half a round trip, without it from its messages.
+"""The autopilot's clock since boot: from TIMESYNC within half a round trip, else from its messages.
 
-A stamp that is off by more than two seconds is implausible, and is not used. Five of them in a row, none right in between, are
-a reboot.
+A stamp off by more than two seconds is implausible; five in a row are a reboot.
 """
 
 from typing import Final

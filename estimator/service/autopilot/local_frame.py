@@ -1,8 +1,7 @@
-"""The autopilot's local frame, which odometry is taken to be in: metres from the origin of its EKF, not from that of our map.
+"""The autopilot's local frame: metres from the origin of its EKF (GPS_GLOBAL_ORIGIN, VehicleLocalPosition), height h0 above the
+sea.
 
-The origin is where it had its first fix or where somebody set it, with its height above the sea h0: GPS_GLOBAL_ORIGIN over
-MAVLink, the reference of VehicleLocalPosition over Zenoh. Both autopilots project the Earth on a plane as a sphere, and what is
-sent is projected the same way (lat, lon in degrees, h above the sea):
+Both project a sphere on a plane (lat, lon in degrees, h above the sea):
 
     ArduPilot (Location.cpp, get_distance_NE)      north = k (lat - lat0),  k = 111318.845 m
                                                    east  = k (lon - lon0) max(cos((lat + lat0) / 2), 0.01)
@@ -12,8 +11,7 @@ sent is projected the same way (lat, lon in degrees, h above the sea):
                                                    east  = R c / sin c  cos lat sin(lon - lon0)
     both                                           down  = h0 - h
 
-At 35 degrees k is 0.3 % more than WGS-84 has: 3 m in a kilometre. Its north and down are those of the place where the vehicle
-is, ours those of the map's origin: R = C_place C_origin^T R_nb, C the rows north, east, down in ECEF.
+North and down are those at the vehicle: R = C_place C_origin^T R_nb, C the rows north, east, down in ECEF.
 """
 
 import math
@@ -64,9 +62,8 @@ class LocalOrigin:
         return (north, east, sea0 - (ellipsoid - geoid_m)), so3.multiply(so3.from_matrix(turn), so3.normalise(e.nav[X.Q]))
 
     def report(self, ours: tuple[float, float, float] | None, geoid_m: float, *, from_ours: bool = False) -> str:
-        """For the status: where it is from our origin.
-
-        ours: degrees, and m above the ellipsoid; from_ours: whether odometry counts from there while it is not known.
+        """Distance from our origin for the status; ours: deg, deg, m; from_ours: odometry counts from ours while it is not
+        known.
         """
         place = self.place
         if place is None:

@@ -1,16 +1,13 @@
-"""What an autopilot is sent, and when: "odometry" all the time, a "fix" only when something new to it entered.
+"""Output policy: "odometry" continuously, a "fix" only when information new to the autopilot entered.
 
-The autopilot has an IMU and, often, the GNSS receiver that we listen to as well. A fix that rests on these alone would be counted
-twice, so a fix goes out only when a landmark or another fix from outside was fused while its own GNSS was not. The quality of the
-odometry is its accuracy, with r the 95 % radius of the horizontal position and r_max = most_radius_m:
+A fix goes out when a landmark or outside fix was fused while the autopilot's own GNSS was not. Quality, with r the 95 % radius
+and r_max = most_radius_m:
 
-    100 ... 1   100 (1 - r / r_max): an autopilot may switch to it at any time, and VISO_QUAL_MIN or EKF2_EV_QMIN is a radius
-      0         nothing but the autopilot's own GNSS and IMU, where own_gnss_quality says that this is not for it
-     -1         r >= r_max, no IMU, not aligned, or the state of integrity is "do not use". Both autopilots refuse it with their
-                default parameters; 0 would be "unknown" to MAVLink, and used
+    100 ... 1   100 (1 - r / r_max)
+      0         only the autopilot's own GNSS and IMU, by own_gnss_quality
+     -1         r >= r_max, no IMU, not aligned, or integrity "do not use" (0 is "unknown" in MAVLink, and used)
 
-The reset counter counts every step of what was sent, not the estimator's resets alone: after a long dead reckoning the first fix
-is an ordinary update to the estimator, and metres to an autopilot that followed it.
+The reset counter counts every step of the output, not the estimator's resets alone.
 """
 
 from collections.abc import Iterable, Sequence
@@ -117,9 +114,8 @@ class OutputPolicy:
         return self.integrity is not None and self.integrity.state is Alert.DO_NOT_USE
 
     def widened(self, estimate: Estimate) -> Estimate:
-        """For a message that carries an accuracy: where alert limits are configured, the sigmas are those of the levels.
-
-        P <- D P D,   D = diag(s, s, v) on the position, s and v at least 1
+        """The sigmas of the protection levels where alert limits are configured: P <- D P D, D = diag(s, s, v) on the position,
+        s, v >= 1.
         """
         if self.integrity is None:
             return estimate
@@ -146,10 +142,10 @@ class OutputPolicy:
         return max(1, round(100.0 * (1.0 - share)))
 
     def reset_counter(self, estimate: Estimate, p_n: Vec3, quality: int) -> int:
-        """0 to 255, for an estimate that is sent now at p_n, m, in the autopilot's frame.
+        """0 to 255, for an estimate sent now at p_n [m] in the autopilot's frame.
 
-        It has counted on when p_n is not where the last one has gone since, |p - (p' + (v + v') dt / 2)| > max(1 m, 3 sigma), the
-        estimator was reset, or nothing was to be used for more than a second: the autopilot followed something else meanwhile.
+        Increased for |p - (p' + (v + v') dt / 2)| > max(1 m, 3 sigma), a reset of the estimator, or more than a second without
+        use.
         """
         last, usable_ns = self._last, self._usable_ns
         self._last = estimate, p_n

@@ -1,7 +1,4 @@
-"""PX4's messages, those that we send and one that we read: XCDR1, little endian, fields in the order of the .msg file.
-
-The definitions are written out for their hashes, which are part of the keys; the bytes are packed and read by hand.
-"""
+"""PX4's messages in XCDR1, little endian, fields in the order of the .msg file; definitions are kept for their hashes."""
 
 import math
 import struct
@@ -162,7 +159,7 @@ def type_hash(schema: str) -> str:
 
 
 def local_reference(data: bytes) -> Vec3 | None:
-    """Of a VehicleLocalPosition: the place of x = y = z = 0, degrees and m above the sea; None: it has none, or is too short."""
+    """Origin of a VehicleLocalPosition, degrees and m above the sea; None: not given, or too short."""
     if len(data) < _REFERENCE.size:
         return None
     xy_global, z_global, lat, lon, alt = _REFERENCE.unpack_from(data)
@@ -172,9 +169,9 @@ def local_reference(data: bytes) -> Vec3 | None:
 def vehicle_odometry(
     e: Estimate, pose: tuple[Vec3, Array], sent_us: int, sample_us: int, counter: int, quality: int
 ) -> bytes | None:
-    """The estimate in NED; attitude variances about the body's axes, as ours are. None, here and below: a number does not fit.
+    """The estimate in NED, attitude variances about the body's axes; None: a number does not fit.
 
-    pose: position and q_nb in PX4's local frame (local_frame.py). The velocity is turned into it: v = R_pose R_nb^T v_n.
+    pose: position and q_nb in PX4's frame (local_frame.py); v = R_pose R_nb^T v_n.
     """
     p_local, q_local = pose
     v_local = so3.matrix(q_local) @ so3.matrix(so3.normalise(e.nav[X.Q])).T @ e.nav[X.V]

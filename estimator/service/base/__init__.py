@@ -1,4 +1,4 @@
-"""What all parts of the daemon share: the ports between them, the clock, the status that the health message is made of, secrets.
+"""Shared by the daemon's parts: ports, clock, status, secrets. Begin with `ports`.
 
-Begin with `ports`. May import estimator.strict_toml, logs and models; nothing else of the service.
+May import estimator.strict_toml, logs and models; nothing else of the service.
 """

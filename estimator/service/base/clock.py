@@ -1,12 +1,10 @@
-"""Time in the daemon: a clock that never steps, and what the stamps of others say on it.
+"""A clock that never steps, and foreign stamps on it.
 
     now = wall(start) + steady - steady(start)
 
-A stamp t' of another clock, which is ahead of ours by a:  t = t' - a,  lag = arrival - t >= the least delay of the way.
-From messages that go one way only a is known from above, a <= t' - arrival + delay, and the quickest message of the last seconds
-is the best bound; from a question and its answer a is known within half the time that both took (Cristian 1989). Two intervals
-that do not overlap, [a_1 - h_1, a_1 + h_1] and [a_2 - h_2, a_2 + h_2], cannot both hold a (Marzullo 1984): the other clock has
-stepped.
+A stamp t' of a clock ahead by a:  t = t' - a,  lag = arrival - t. One-way messages bound a by the quickest of the last seconds,
+a <= t' - arrival + delay; a question and answer within half the round trip (Cristian 1989). Disjoint intervals [a +- h] mean that
+the other clock stepped (Marzullo 1984).
 """
 
 import time
@@ -45,9 +43,9 @@ class ClockConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Clock:
-    """Nanoseconds since 1970 by the wall clock of the start, carried on by the monotonic clock: it never steps.
+    """Nanoseconds since 1970 by the wall clock at the start, carried on by the monotonic clock.
 
-    anchor_ns: wall - steady, of an earlier daemon of the same boot; wall and steady are given by tests.
+    anchor_ns: wall - steady of an earlier daemon of the same boot; wall, steady: for tests.
     """
 
     def __init__(
@@ -74,10 +72,7 @@ class Clock:
 
 @dataclass(slots=True)
 class Offset:
-    """How far another clock is ahead of ours, and within which bounds that is known.
-
-    quickest_ns: what the quickest message takes on its way; ahead_ns: None before the first message; bound_ns: of its error.
-    """
+    """How far another clock is ahead; quickest_ns: least delay; ahead_ns: None before a message; bound_ns: of its error."""
 
     quickest_ns: int
     ahead_ns: int | None = None
@@ -150,13 +145,12 @@ class _Trial:
 
 
 class Stamps:
-    """Times of validity on our clock, from stamps that are accepted only where they are plausible.
+    """Times of validity on our clock, from plausible stamps.
 
-    Known clocks are our own, the wall clock as it is now and as it was before its last step, and foreign ones, whose stamps are
-    more than a minute off (a boot-time clock, a computer whose clock was never set) but in step with their arrivals. Of those
-    that make a stamp plausible, 0 <= lag <= late_s or nearly so, the one counts that gives the lag most like the topic's last.
-    A stamp that none makes plausible, but that is off by less than a minute, stays as it is: the estimator refuses it and says
-    why.
+    Known clocks: the wall clock now and before its last step, and foreign ones more than a minute off but in step with their
+    arrivals. Of those with 0 <= lag <= late_s the lag most like the topic's last counts. A stamp off by less than a minute
+    stays as it is, and the
+    estimator refuses it.
     """
 
     def __init__(self, clock: Clock, config: ClockConfig) -> None:

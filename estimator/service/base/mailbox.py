@@ -1,11 +1,8 @@
-"""The messages that wait for the loop: a bounded line for each topic, so that a flooded topic delays only itself.
+"""The messages that wait for the loop: a bounded line for each topic, so that a flood delays only itself.
 
     next = the oldest message among the lines that are not crowded; where all are crowded, the oldest of all
 
-While no line is crowded, that is the order of arrival; a sensor crowds its line only when the loop stands still for more than a
-second. A limit on the rate would have to know the speed of the machine and of each sensor. A message that does not fit into its
-line is dropped and counted. So is a message in a crowded line that repeats the one before it: a driver that sends one sample
-again and again leaves room for its new samples.
+A message that does not fit is dropped and counted, in a crowded line also one that repeats the one before.
 """
 
 import queue

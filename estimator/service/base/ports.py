@@ -1,8 +1,4 @@
-"""The daemon's ports to the outside: where messages come from, where outputs go, where both are kept.
-
-A link (Zenoh, MAVLink, a test) is given an Inbox and is itself an Outbox. All of its own threads may call Inbox.put at any time;
-Outbox.send is called by the loop alone, must not block, and must not raise.
-"""
+"""The daemon's ports: Inbox (from the links' threads), Outbox (from the loop; does not block or raise) and Log."""
 
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
@@ -29,10 +25,7 @@ class Inbox(Protocol):
         ...
 
     def put(self, message: Input) -> None:
-        """A measurement of a link that speaks no CDR; it arrives now, whatever its arrived_ns says.
-
-        It is encoded first: the estimator sees what the log holds, so that a replay sees the same.
-        """
+        """A measurement of a link without CDR; encoded first, so that estimator and log have the same bytes; it arrives now."""
         ...
 
 

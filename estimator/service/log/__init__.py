@@ -1,4 +1,4 @@
-"""What the daemon leaves on disk: the log, torn logs of an earlier crash made whole, the state to resume from.
+"""The daemon's files: the log, repair of torn logs, the state to resume from. Begin with `writer`.
 
-Begin with `writer`. May import estimator.service.base, logs and models.
+May import estimator.service.base, logs and models.
 """

@@ -1,4 +1,4 @@
-"""The folder of the logs belongs to one daemon at a time; what a killed one left torn in it is made whole, next to the flight."""
+"""The folder of the logs, locked by one daemon; torn logs of a killed one are repaired during the flight."""
 
 import fcntl
 import subprocess
@@ -55,10 +55,7 @@ def torn_logs(folder: Path) -> list[Path]:
 
 
 def recover_in_background(folder: Path) -> subprocess.Popen[bytes] | None:
-    """A process of lowest priority that makes them whole; None where there is nothing to do.
-
-    A whole log takes the torn one's place; where a part is damaged beyond that, both are kept.
-    """
+    """A process of lowest priority that repairs them, or None; a damaged torn log is kept beside the repaired one."""
     torn = torn_logs(folder)
     if not torn:
         return None

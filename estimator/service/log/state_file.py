@@ -1,8 +1,4 @@
-"""The last state, kept on disk twice a second, so that a daemon that was killed goes on where it was.
-
-The file holds the CDR bytes of the Checkpoint that the next daemon feeds to Fusion (and logs, so that a replay begins alike), and
-the clock it was stamped with: within one boot the next daemon's clock carries the last one's on, whatever the wall clock did.
-"""
+"""The last state on disk, twice a second, for a restart: the CDR bytes of the Checkpoint, and the clock that stamped it."""
 
 import contextlib
 import os

@@ -1,9 +1,7 @@
-"""The log's own thread: writes what the loop queues, flushes every 50 ms and rotates files. The loop never waits for it.
+"""The log's own thread: writes the loop's queue, flushes every 50 ms (a killed process loses less than 0.1 s), rotates files.
 
-A killed process has lost what was not yet flushed: less than 0.1 s. When the disk is slow the queue grows; then outputs, which a
-replay makes again, are left out first, images from the oldest on, and inputs only when memory is at stake. When the disk is
-full the flight goes on, the log notes it, and begins again in a new file as soon as there is space. Where somebody deletes, moves
-or replaces the file, a new one begins within a second, and the state counts it.
+When the disk is slow, outputs are left out first, then images, inputs last. When it is full or the file is removed, a new file
+begins as soon as possible, and the status counts it.
 """
 
 import contextlib

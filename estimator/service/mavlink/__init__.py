@@ -1,4 +1,4 @@
-"""The MAVLink link: ports and signing, messages in and out, the configuration of it.
+"""The MAVLink link: ports and signing, messages in and out, its configuration. Begin with `link`.
 
-Begin with `link`. May import estimator.service.autopilot and estimator.service.base, estimator.publish, logs and models.
+May import estimator.service.autopilot and estimator.service.base, estimator.publish, logs and models.
 """

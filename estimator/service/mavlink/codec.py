@@ -1,11 +1,9 @@
-"""MAVLink messages <-> records. MAVLink is NED and FRD like ours; its units are its own.
+"""MAVLink messages <-> records; NED and FRD like ours. ODOMETRY differs by autopilot:
 
-PX4 and ArduPilot read ODOMETRY differently:
-
-    PX4        LOCAL_NED, BODY_FRD; covariances are covariances
-    ArduPilot  LOCAL_FRD, BODY_FRD, the numbers NED all the same; of three numbers c of the pose's diagonal it makes
-               sigma = (c_1^2 + c_2^2 + c_3^2)^(1/3), so that c_i = sqrt(sigma_i^3 / 3) gives it sigma;
-               position and attitude in its own frame (autopilot/local_frame.py)
+PX4        LOCAL_NED, BODY_FRD; covariances are covariances
+ArduPilot  LOCAL_FRD, BODY_FRD, the numbers NED all the same; of three numbers c of the pose's diagonal it makes
+           sigma = (c_1^2 + c_2^2 + c_3^2)^(1/3), so that c_i = sqrt(sigma_i^3 / 3) gives it sigma;
+           position and attitude in its own frame (autopilot/local_frame.py)
 """
 
 import math
@@ -132,10 +130,7 @@ def receiver_state(message: Any) -> ReceiverState:
 
 
 def gnss_fix(message: Any, t_ns: int, geoid_m: float, topic: str, state: ReceiverState = ReceiverState.UNKNOWN) -> GnssFix:
-    """GPS_RAW_INT, GPS2_RAW; the height above the sea and geoid_m where there is none above the ellipsoid.
-
-    alt_ellipsoid of 0 is none; so is one that is alt: the receiver, such as that of ArduPilot's simulator, has no geoid.
-    """
+    """GPS_RAW_INT, GPS2_RAW; the height above the sea and geoid_m where alt_ellipsoid is 0 or equals alt."""
     has_ellipsoid = message.alt_ellipsoid and abs(message.alt_ellipsoid - message.alt) > _SAME_HEIGHT_MM
     height_m = 1e-3 * message.alt_ellipsoid if has_ellipsoid else 1e-3 * message.alt + geoid_m
     status = int(navsat_status(np.array(message.fix_type)))
@@ -154,9 +149,9 @@ def gnss_velocity(message: Any, t_ns: int, topic: str) -> GnssVelocity | None:
 
 
 def odometry(e: Estimate, pose: Pose, time_usec: int, counter: int, quality: int, autopilot: int) -> Any:
-    """ODOMETRY in the convention of the autopilot: velocity in the body's axes, attitude variances about them.
+    """ODOMETRY in the autopilot's convention: body velocity, attitude variances about the body's axes.
 
-    pose: position, m, and q_nb in its frame. With quality -1 ArduPilot is sent its largest sigmas: VISO_QUAL_MIN -1 takes all.
+    pose: position [m] and q_nb in its frame. With quality -1 ArduPilot gets its largest sigmas: VISO_QUAL_MIN -1 takes all.
     """
     R_bn = so3.matrix(so3.normalise(e.nav[X.Q])).T
     p_n, q_nb = pose
@@ -222,10 +217,7 @@ def gps_input(e: Estimate, at: Place, time_usec: int, gps_id: int, utc_ns: int |
 
 
 def alert(integrity: Integrity, number: int) -> list[Any]:
-    """STATUSTEXT of the state and the reason for it; a longer one than 50 bytes in chunks, as MAVLink 2 has them.
-
-    number: from 1 to 65535, another one for each text, by which a receiver puts chunks together. A zero byte ends the last chunk.
-    """
+    """STATUSTEXT of the state and its reason, beyond 50 bytes in chunks; number: 1 to 65535, one for each text."""
     state = integrity.state
     words = f"landfix: {state}, {integrity.reason}" if integrity.reason else f"landfix: {state}, HPL {integrity.hpl_m:.1f} m"
     text = words.encode("ascii", "replace")

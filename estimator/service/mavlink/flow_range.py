@@ -1,4 +1,4 @@
-"""Range to the ground on which a flow is seen: of the message, of a range finder, or of the filter's height above level ground.
+"""Range to the ground for a flow: of the message, a range finder, or the filter's height above level ground.
 
 r = h / (R_nb)_zz,   h = -p_d - ground_m,   sigma_r^2 = (P_pd + sigma_ground^2) / (R_nb)_zz^2
 """

@@ -1,7 +1,7 @@
-"""Which messages of the autopilot are measurements, on which topics, and which have to be asked for.
+"""The autopilot's messages that are measurements, their topics, and which have to be requested.
 
-HIGHRES_IMU is the IMU. Where it does not come, RAW_IMU (ArduPilot) or SCALED_IMU stands in, in steps of 0.01 m/s^2 and
-0.001 rad/s; the status says so. The second and third topic of [inputs] imu are SCALED_IMU2 and SCALED_IMU3.
+The IMU is HIGHRES_IMU, else RAW_IMU (ArduPilot) or SCALED_IMU in steps of 0.01 m/s^2 and 0.001 rad/s (`coarse`); the second and
+third IMU are SCALED_IMU2 and SCALED_IMU3.
 """
 
 from collections.abc import Iterator
@@ -201,7 +201,7 @@ class Inputs:
         return kind == "HIGHRES_IMU" or (_IMUS[kind] == _coarse_of(autopilot) and self._is_gone(_IMU, now_ns))
 
     def _slow_down(self, now_ns: int) -> None:
-        """ArduPilot denies more than 80 % of the rate of its loop, 50 Hz in a rover: the IMU is then asked for less often."""
+        """Requests the IMU less often: ArduPilot denies more than 80 % of the rate of its loop."""
         asked_ns = self._asked.get(_IMU, now_ns)
         if self._denied and now_ns - asked_ns > _MISSING_NS and self._heard.get(_IMU, _NEVER) < asked_ns:
             self._imu_us, self._denied = next((us for us in _SLOWER_US if us > self._imu_us), self._imu_us), False

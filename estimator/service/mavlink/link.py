@@ -1,7 +1,4 @@
-"""The link to an autopilot: its IMU and receivers in, odometry and fixes out, its clock, and requests for its messages.
-
-One thread reads, answers and requests. The daemon's loop sends the estimator's outputs and never waits for the link.
-"""
+"""The link to an autopilot: sensors in, odometry and fixes out, clock and requests, on one thread; sending never waits."""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -68,9 +65,8 @@ class MavlinkLink:
         say: Callable[[str], None] = lambda _: None,
         level: tuple[float, float] | None = None,
     ) -> None:
-        """say: prints a line for the person at the terminal; never waits. level: of the ground, see FlowRange.
-
-        Raises ConfigError where odometry is to come from the autopilot or from landfix itself.
+        """say: prints a line, never waits; level: of the ground, see FlowRange. Raises ConfigError for odometry_from itself or
+        the autopilot.
         """
         if clash := set(config.odometry_from) & {config.component, *config.listen_to}:
             raise ConfigError(f"mavlink.odometry_from = {min(clash)}: is the autopilot or landfix itself: name another component")

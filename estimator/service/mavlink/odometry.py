@@ -1,7 +1,5 @@
-"""Odometry over MAVLink: poses (ODOMETRY), and what logs/wire/increments.py makes of steps, flow and wheels.
-
-ODOMETRY: a pose in a frame of its own, which ends where reset_counter moves. VISION_POSITION_DELTA: a camera's steps.
-OPTICAL_FLOW_RAD: flow over a range (flow_range.py). WHEEL_DISTANCE: the way of each wheel.
+"""Odometry over MAVLink: ODOMETRY (a frame ends where reset_counter moves), VISION_POSITION_DELTA, OPTICAL_FLOW_RAD
+(flow_range.py), WHEEL_DISTANCE, by logs/wire/increments.py.
 """
 
 import math

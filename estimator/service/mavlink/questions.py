@@ -39,10 +39,7 @@ _INTEGERS: Final = {
 
 
 class Answers(NamedTuple):
-    """autopilot: of HEARTBEAT; version: "4.6.3", "" where it says none; parameters: those that it has.
-
-    origin: of its EKF, degrees and m above the sea; None where it has none.
-    """
+    """autopilot: of HEARTBEAT; version: "4.6.3" or ""; parameters; origin: of its EKF, degrees and m above the sea, or None."""
 
     autopilot: int
     version: str

@@ -25,9 +25,8 @@ mavlink.mavlink_map.setdefault(GNSS_INTEGRITY, development.MAVLink_gnss_integrit
 
 
 class Wire(mavlink.MAVLink):  # type: ignore[misc]
-    """Frames to messages, or messages to frames; not for two threads at once.
-
-    listen_to: component ids of the vehicle; wanted: message ids; key: of signing, then what is unsigned is refused.
+    """Frames <-> messages, for one thread; listen_to: component ids; wanted: message ids; key: of signing, unsigned is then
+    refused.
     """
 
     buf: bytearray

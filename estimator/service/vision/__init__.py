@@ -1,4 +1,4 @@
-"""The visual front-end in a process of its own: whatever happens to it, the estimate goes on.
+"""The visual front-end in a process of its own. Begin with `worker`.
 
-Begin with `worker`. May import estimator.service.base, estimator.frontend and what is below it.
+May import estimator.service.base, estimator.frontend and the layers below it.
 """

@@ -1,8 +1,7 @@
-"""Vision in a process of its own, so that a crash or hang does not affect the estimator.
+"""Vision in a process of its own: a crash or hang does not affect the estimator.
 
-The thread here puts pairs together and asks; the process answers. Of pairs that wait the newest goes, the others are dropped and
-counted. A process that dies, or does not answer in time, is started anew, each time a little later. While it compiles a kernel it
-says so, and is given the time for that: a compilation that is cut off begins again in the next process, and would never end.
+The thread here pairs images and requests; of waiting pairs the newest goes. A process that dies or does not answer in time is
+started anew, each time a little later; while it compiles a kernel it reports that, and is given the time.
 """
 
 import os
@@ -47,11 +46,10 @@ class Compiling(NamedTuple):
 
 
 def serve(pipe: Connection, rig_file: Path, map_file: Path | None, origin: Vec3 | None, image: ImageFile | None) -> None:
-    """The process: answers requests until the pipe is closed. First, when it is warm, it sends the cameras' time offset [ns], or
-    why it cannot see.
+    """The process: answers requests until the pipe is closed; first sends the cameras' time offset [ns], or the reason for no
+    vision.
 
-    A request is its bytes and two images; or a mode, for which the image looked at last is drawn. Before its answer there may
-    be any number of Compiling.
+    A request: its bytes and two images, or a mode, for which the last image is drawn. Compiling may come before the answer.
     """
 
     def load() -> tuple[int, Callable[[Any], Any]]:
@@ -95,11 +93,7 @@ def answer_until_closed(pipe: Connection, load: Callable[[], tuple[int, Callable
 
 
 def _give_way() -> None:
-    """Go behind the daemon, whose nice value and real-time priority this process was born with.
-
-    Never real-time: vision can use a whole core for long, and what Linux takes from a real-time process that does (50 ms of each
-    second, `sched_rt_runtime_us`) it takes from every other one on that core, the daemon among them.
-    """
+    """Go behind the daemon's nice value, and never real-time: the kernel's real-time throttle would stop the daemon too."""
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     os.nice(_GIVES_WAY)
 
@@ -259,10 +253,7 @@ class VisionWorker:
         return self._config.timeout_s * self._backoff_s / _FIRST_BACKOFF_S
 
     def _exchange(self, question: Any, patience_s: float) -> Any:
-        """The process's answer; None where it is dead, or was killed because it took too long, even to listen.
-
-        The patience begins anew with each kernel that it begins to compile, or is done with, up to a limit for all.
-        """
+        """The process's answer; None: dead, or killed for its time. A compiled kernel restarts the time, up to a limit."""
         assert self._process is not None
         assert self._pipe is not None
         answered, end_s = self._killed_in(patience_s), time.monotonic() + _ALL_COMPILED_S
@@ -281,9 +272,7 @@ class VisionWorker:
             answered.set()
 
     def _killed_in(self, seconds: float) -> threading.Event:
-        """Kills the process after that time, unless the event is set before. Time in which this process was stopped (SIGSTOP, a
-        debugger) does not count: no answer could be read.
-        """
+        """Kills the process after that time unless the event is set; time in which this process was stopped does not count."""
         assert self._process is not None
         answered, process = threading.Event(), self._process
 

@@ -1,7 +1,4 @@
-"""The Zenoh link: topics in, topics out, in the dialect of rmw_zenoh and, by option, of zenoh-bridge-ros2dds.
-
-Callbacks run on Zenoh's own thread and do nothing but enqueue. Nothing ever waits for a subscriber: congestion drops.
-"""
+"""The Zenoh link in the dialect of rmw_zenoh and, optionally, zenoh-bridge-ros2dds; callbacks only enqueue, congestion drops."""
 
 import contextlib
 import secrets

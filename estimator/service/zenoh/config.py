@@ -1,7 +1,6 @@
-"""The Zenoh session: closed by default, opened by the configuration, never open by accident.
+"""The Zenoh session, closed by default: loopback only, no scouting.
 
-Zenoh itself listens on every interface and answers multicast; here nothing but loopback is listened to, nobody is scouted for,
-and at an endpoint beyond loopback, listened on or connected to, others must prove who they are: by certificate or by password.
+At an endpoint beyond loopback peers must authenticate, by certificate or password.
 """
 
 import ipaddress

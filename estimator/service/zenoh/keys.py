@@ -1,4 +1,4 @@
-"""Names on Zenoh: how rmw_zenoh (ROS 2 Jazzy and newer) and zenoh-bridge-ros2dds call topics, and what they attach.
+"""Topics as keys of Zenoh, and their attachments.
 
 rmw_zenoh   <domain>/<topic>/<pkg>::msg::dds_::<Type>_/RIHS01_<hash>      attachment: sequence, time sent, 16, id of the sender
 ros2dds     <topic>                                                       no attachment

@@ -1,8 +1,7 @@
-"""PX4's zenoh module as an Outbox: vehicle_visual_odometry all the time, aux_global_position when a fix entered.
+"""PX4's zenoh module as an Outbox: vehicle_visual_odometry continuously, aux_global_position when a fix entered.
 
-PX4 uses timestamp_sample as it comes, in us since its own start, and nothing on this way translates it: so we learn its clock
-from what it publishes itself (fmu/out/...) and send nothing before that. It takes positions to count from the origin of its EKF2,
-which vehicle_local_position has: until that is known odometry has quality -1.
+Stamps are PX4's own, from its fmu/out/... messages; nothing is sent before. Quality is -1 until EKF2's origin is known
+(vehicle_local_position).
 """
 
 import struct

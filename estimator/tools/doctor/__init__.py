@@ -1,4 +1,4 @@
-"""Checks before a flight: the machine, the configuration and its files, a log. Each is a list of Check with advice.
+"""Checks before a flight: machine, configuration and files, a log; each a list of Check with advice. Begin with `machine`.
 
-Begin with `machine`. May import estimator.config and what is below it.
+May import estimator.config and the layers below it.
 """

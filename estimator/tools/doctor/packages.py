@@ -1,8 +1,4 @@
-"""Which installed package hides one of ours, and which one is missing.
-
-Standard library only: it runs after an import has failed. The wheel has six top-level names, some of them common words (models,
-vision, logs). Another distribution, or a folder on PYTHONPATH, may have the same name; Python takes the first one on sys.path.
-"""
+"""Which package hides one of our six top-level names, and which one is missing; standard library only."""
 
 import importlib.util
 from importlib import metadata

@@ -1,9 +1,8 @@
-"""Two labels compared, flight by flight: what became worse, beyond the noise of equal runs, and the budget that a CI keeps.
+"""Two labels compared, flight by flight.
 
     d_i = c_i(after) - c_i(before)         c: the cost of a metric (metrics.py), i: a flight with both rows
 
-Equal runs have equal rows to the bit on one machine type, so their noise is zero unless two labels of equal runs are named: then
-a change counts beyond the largest |d| between those. Whether the fleet as a whole moved is judged by Wilcoxon's signed-rank test.
+A change counts beyond the largest |d| of two labels of equal runs (0 without them); the fleet by Wilcoxon's signed-rank test.
 """
 
 import math

@@ -1,7 +1,4 @@
-"""The engine: dask.distributed, on this machine by default, on any cluster by the address of its scheduler.
-
-At most _AHEAD tasks a thread are known to the scheduler, so its memory does not grow with the number of flights.
-"""
+"""The engine: dask.distributed, on this machine or a scheduler's address; at most _AHEAD tasks a thread are known to it."""
 
 import logging
 import os

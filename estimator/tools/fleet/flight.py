@@ -34,11 +34,10 @@ _ROOT: Final = Path(__file__).parents[3]
 
 
 class Settings(msgspec.Struct, frozen=True):
-    """What all flights of a run have in common.
+    """Common to all flights of a run.
 
-    configuration: TOML text; None: what each log was recorded or imported with; truth: topic of the reference; from_images: the
-    images are processed again, with the configuration's files (path in it -> content); code: of the program that asks, which
-    the worker's must be.
+    configuration: TOML text, None: of each log; truth: topic; from_images: images are processed again, with files (path ->
+    content); code: of the program, which the worker's must equal.
     """
 
     label: str

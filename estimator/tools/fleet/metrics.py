@@ -1,4 +1,4 @@
-"""What makes a flight worse: each metric as a cost, of which more is worse, in natural logarithms where a ratio counts.
+"""Each metric as a cost; more is worse.
 
 error       c = ln x              twice the error costs ln 2
 consistency c = |ln x|            1 is consistent, too small is as bad as too large

@@ -15,10 +15,7 @@ from logs.store.reader import LogError
 def reports_of(
     changes: Sequence[Change], results: str, folder: Path, progress: Callable[[float], None]
 ) -> dict[str, list[tuple[str, str]]]:
-    """Log -> label and file (seen from beside the folder) of the reports that this program can make.
-
-    A row of another program is left out: its estimate would not be the one that was judged.
-    """
+    """Log -> label and file (relative) of the reports that this program can make; rows of another program are left out."""
     folder.mkdir(exist_ok=True)
     made: dict[str, list[tuple[str, str]]] = {}
     for k, change in enumerate(changes):

@@ -1,7 +1,4 @@
-"""Results as Parquet: RESULTS/label=NAME/*.parquet, in any store; what has a row is known by its key.
-
-A file is written whole or not at all. While a run goes on there are many small ones; `compact` makes few of them.
-"""
+"""Results as Parquet: RESULTS/label=NAME/*.parquet in any store, each file written whole; `compact` joins them."""
 
 import types
 from collections.abc import Iterable, Iterator, Sequence

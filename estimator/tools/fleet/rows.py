@@ -1,7 +1,4 @@
-"""A row a flight: which flight and estimator, what came of it, what it cost. Its fields are the columns of the Parquet files.
-
-Fields that a flight has no value for are null: errors without a reference, levels without an alert limit.
-"""
+"""A row a flight; its fields are the columns of the Parquet files, null where a flight has no value."""
 
 import math
 from typing import Any, Final
@@ -20,10 +17,10 @@ COSTS: Final = frozenset({"cpu_s", "wall_s", "memory_mb", "read_bytes"})  # diff
 class Row(msgspec.Struct, frozen=True, kw_only=True):
     """One flight under one label.
 
-    key: of inputs, configuration, program and options: what has a row is not computed again; inputs_sha256: of the bytes that
-    were used; code: of the program's source files. nis, refused: by "topic kind" and by reason; *_exceeded: errors above the
-    protection level; available: share of the time within the alert limits; outage_end_m: RMS of the errors at the ends of
-    outages; error: why there is no result, and all but identity and costs is then null.
+    key: of inputs, configuration, program and options; inputs_sha256: of the bytes used; code: of the source files; nis,
+    refused: by "topic kind" and reason; *_exceeded: errors above the level; available: share within the alert limits;
+    outage_end_m: RMS;
+    error: reason for no result.
     """
 
     key: str

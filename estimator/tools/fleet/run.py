@@ -20,10 +20,9 @@ _KEPT_EVERY_S: Final = 10.0  # rows that came meanwhile are what the loss of thi
 
 
 class RunSummary(msgspec.Struct, frozen=True):
-    """Flights: in the list, with a row from before, done now; failed: rows with an error; unfinished: log and why it has no row.
+    """Flights listed, known, done now; failed: rows with an error; unfinished: log and reason.
 
-    hours: of flight; hours_a_core_hour: of those done now; read_bytes, stored_bytes: of those done now; memory_mb: largest of a
-    worker.
+    hours: of flight; hours_a_core_hour, read_bytes, stored_bytes: of those done now; memory_mb: of the largest worker.
     """
 
     label: str

@@ -1,8 +1,6 @@
-"""An MCAP log of some topics out of a store, by the index at its end and byte ranges: images stay where they are.
+"""Some topics of an MCAP log in a store, by its index and byte ranges (mcap.dev/spec).
 
-A chunk is read where it holds a wanted topic; of an uncompressed chunk that holds others too only the wanted messages are. A log
-without an index (cut off, or of a writer that makes none) is read whole.
-Format: https://mcap.dev/spec.
+Of an uncompressed chunk only the wanted messages are read; a log without an index is read whole.
 """
 
 import struct

@@ -1,7 +1,6 @@
-"""Logs in a store: any address that fsspec knows (a path, s3://, gs://, az://, http://), and which of them are one flight.
+"""Logs in a store: any address of fsspec (a path, s3://, gs://, az://, http://), and which parts are one flight.
 
-Keys and endpoints of a store come from where its client reads them (environment, ~/.aws, fsspec's own configuration): a worker
-needs the same.
+Keys and endpoints come from the store's own client; a worker needs the same.
 """
 
 from collections.abc import Iterable, Sequence

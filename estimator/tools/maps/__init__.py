@@ -1,4 +1,4 @@
-"""Maps checked, drawn, learned from a flight and found in a satellite image.
+"""Maps checked, drawn, learned from a flight and found in a satellite image. Begin with `check`.
 
-Begin with `check`. May import estimator.tools.doctor (Check), estimator.config and what is below it.
+May import estimator.tools.doctor (Check), estimator.config and the layers below it.
 """

@@ -1,7 +1,7 @@
-"""What in a map can be taken for something else near by: landmarks that look alike, and places where all around looks the same.
+"""Ambiguous landmarks of a map, and positions where all around looks the same.
 
-A landmark i with a look-alike j is ambiguous by itself. The place is ambiguous as well where a shift t = l_j - l_i takes what
-else is in view to look-alikes too: then no number of landmarks in one image decides, only the prior does.
+A landmark i with a similar one j is ambiguous; the position is, where the shift t = l_j - l_i maps its surroundings onto
+similar ones.
 """
 
 import numpy as np

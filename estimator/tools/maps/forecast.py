@@ -1,13 +1,11 @@
-"""Is a route fit to be flown without GPS on this map? The estimator itself flies it, with a perfect IMU and possible fixes.
+"""Forecast of the 95 % radius on a route without GPS: the estimator flies it, with a perfect IMU and possible fixes.
 
-GPS ends where the route begins. At each image the landmarks whose roofs lie whole inside the field of view give one fix, unless
-all that is in view may be taken for something else within the 95 % radius of that moment:
+An image gives a fix by the landmarks whose roofs are whole in view, unless they may be confused within the present radius:
 
-    usable(i):  nearest look-alike > 2 r95,  or three landmarks in view whose arrangement repeats no nearer than 2 r95
+    usable(i):  nearest similar landmark > 2 r95,  or three in view whose arrangement repeats no nearer than 2 r95
 
-The covariance of a fix is its measurement's, in proportion to the distance, and what each landmark's own error in the map moves
-it by. The radius that comes out is the filter's own. Fixes that fail for light, weather or season are in it by `found` only, the
-share of images that give one. Which images do is drawn three times; the radius is the largest of the three.
+A fix' covariance is its measurement's, in proportion to the distance, plus the landmarks' own errors. `found` is the share of
+images with a fix; which ones is drawn three times, and the largest radius counts.
 """
 
 import math
@@ -40,8 +38,8 @@ _REACHES_M: Final = (400.0, 200.0, 100.0, 50.0)  # for look-alikes, the first th
 
 
 class Camera(msgspec.Struct, frozen=True):
-    """What sees the ground, and how well. view_deg: full angle of the smaller side; images_hz; found: share of images with usable
-    landmarks that give a fix; sigma_share: of a fix from one landmark, standard deviation / distance; sigma_deg: of its attitude.
+    """view_deg: full angle of the smaller side; images_hz; found: share of images with a fix; sigma_share: of a fix from one
+    landmark, standard deviation / distance; sigma_deg: of its attitude.
     """
 
     view_deg: float = 60.0

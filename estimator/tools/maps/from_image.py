@@ -21,10 +21,9 @@ _MOST_REGIONS = 100_000
 
 
 def landmarks(ortho: Orthophoto, colours_bgr: tuple[Colour, ...], least_m2: float, sigma_m: float | None = None) -> bytes:
-    """GeoJSON of the image's regions of these colours, marked as an automatic map; none: of whatever colours it has.
+    """GeoJSON of the image's regions of these colours (none: any), marked as automatic.
 
-    sigma_m: of the image's place on Earth; None: one pixel. Regions that the border cuts are left out. A grey image tells no
-    colours of roofs, and none are written.
+    sigma_m: of the image on Earth, None: one pixel. Regions cut by the border are left out; grey images give no colours.
     """
     pixel_m = resolution_m(ortho)
     limits = Limits(least_px=max(_LEAST_PX, round(least_m2 / pixel_m**2)), least_side_px=3, most=_MOST_REGIONS)

@@ -1,7 +1,4 @@
-"""A map learned by flying: images of a log with good GNSS, each at its smoothed pose, become landmarks with their covariance.
-
-The log is read twice: its sensors for the poses, then its images.
-"""
+"""A map learned by flying: images of a log at smoothed poses become landmarks with covariances."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -41,9 +38,8 @@ class LearnError(ValueError):
 
 
 class LearnConfig(msgspec.Struct, frozen=True):
-    """How a map is learned. most_hz: pairs processed; most_sigma_m: of a pose, horizontally; ground_alt_m: None: where it began.
-
-    colours_bgr: to search for; none: whatever colours an image has.
+    """most_hz: pairs processed; most_sigma_m: of a pose, horizontally; ground_alt_m: None: of the start; colours_bgr: none:
+    any.
     """
 
     most_hz: float = 2.0
@@ -56,10 +52,8 @@ class LearnConfig(msgspec.Struct, frozen=True):
 
 
 class LearnSummary(msgspec.Struct, frozen=True):
-    """What was learned. images: looked at; skipped, left_out: images and things that were not used, by reason;
-
-    seen: in how many images each landmark; common_sigma_m: horizontal and vertical error of the map as a whole, which no
-    landmark's own sigma contains.
+    """images: processed; skipped, left_out: images and objects by reason; seen: images of each landmark; common_sigma_m:
+    horizontal and vertical error of the whole map.
     """
 
     landmarks: int

@@ -27,8 +27,8 @@ _MOST_S = 36_000.0
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """Along the route at RATE_HZ. t_s (n,), below HOVER_S the vehicle hovers; s_m (n,): way so far; p_n, v_n (n, 3);
-    accel_b (n, 3): specific force of a level vehicle whose nose points along the first leg; heading_rad: of that leg.
+    """Along the route at RATE_HZ: t_s (n,), hovering below HOVER_S; s_m (n,): distance; p_n, v_n (n, 3); accel_b (n, 3): of a
+    level vehicle; heading_rad: of the first leg.
     """
 
     t_s: Array
@@ -76,7 +76,7 @@ def _lines(text: str) -> list[tuple[float, float]]:
 
 
 def fly(places: Array, origin: Origin, height_m: float, speed_m_s: float) -> Flight:
-    """The flight at a height above the map's origin. Raises MapError for one that is too short or too long.
+    """The flight at a height above the map's origin. Raises MapError.
 
     p(t) = (g * p_corners)(t), v = dp/dt,  f_b = R_nb^T (d2p/dt2 - g_n)         g: a Gaussian of 1.5 s
     """

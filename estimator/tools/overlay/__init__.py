@@ -1,4 +1,4 @@
-"""The map drawn into recorded images: video, contact sheet, residuals along a log, the images of a report.
+"""The map drawn into recorded images: video, contact sheet, residuals, images of a report. Begin with `log` and `video`.
 
-Begin with `log` and `video`. May import estimator.config and what is below it.
+May import estimator.config and the layers below it.
 """

@@ -38,10 +38,8 @@ def configuration(log: Path, attachments: list[Attachment], given: Path | None) 
 def scenery(
     log: Path, attachments: list[Attachment], given: Path | None, rig_file: Path | None = None, map_file: Path | None = None
 ) -> Scenery:
-    """Cameras and map: the files named, else those of the given configuration, else those attached to the log, else those that
-    the attached configuration names, if they lie next to the log.
-
-    Raises ConfigError, one line that says what is missing or wrong.
+    """Cameras and map: files named, else of the given configuration, else attached to the log, else named by the attached
+    configuration next to the log. Raises ConfigError.
     """
     config = configuration(log, attachments, given)
     with tempfile.TemporaryDirectory() as unpacked:

@@ -33,8 +33,8 @@ _SPACING_NS: Final = 8_000_000  # of the estimates kept: hours fit into memory, 
 class Flight:
     """A log without its images' pixels.
 
-    odometry: thinned; stamps_ns: of the images of each topic, in order; exposures_ns: of those that vision was asked about, on
-    the estimate's clock; identified: landmarks of the fixes, by exposure; modes: what began when.
+    odometry: thinned; stamps_ns: of the images of each topic; exposures_ns: of vision's requests; identified: landmarks of the
+    fixes, by exposure; modes: with their beginnings.
     """
 
     path: Path
@@ -98,10 +98,8 @@ def read(path: Path, progress: Callable[[float], None] = lambda _: None) -> Flig
 
 
 def views(flight: Flight, topic: str, time_offset_s: float) -> list[View | None]:
-    """The estimate at the exposure of each image of the topic in order; None where there is none.
-
-    The exposure is that of vision's request; of an image without one it is the stamp and the offset seen last, at
-    first the rig's.
+    """The estimate at the exposure of each image of the topic, or None; without a request the exposure is the stamp and the
+    last offset.
     """
     offset_ns, exposures = round(time_offset_s * 1e9), []
     for stamp_ns in flight.stamps_ns[topic]:

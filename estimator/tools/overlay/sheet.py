@@ -1,4 +1,4 @@
-"""What the cameras saw, with the map drawn in from where the fix says they were: a few of the fixes of a log on one sheet."""
+"""A few of the fixes of a log on one sheet: images with the map drawn in from the fix."""
 
 from collections.abc import Collection, Sequence
 from contextlib import suppress

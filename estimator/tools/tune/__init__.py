@@ -1,4 +1,4 @@
-"""Noise parameters from logs without a truth: what to vary, what a log is worth, the search.
+"""Noise parameters from logs without a truth: keys, score, search. Begin with `search`.
 
-Begin with `search`. May import estimator.config and what is below it.
+May import estimator.config and the layers below it.
 """

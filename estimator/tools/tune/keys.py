@@ -43,10 +43,7 @@ KEYS: Final = {key.name: key for key in (*_NOISE, *_TRUTH)}
 
 
 def chosen(sources: Collection[str], named: Iterable[str] = (), truth: bool = False) -> list[Key]:
-    """The keys to turn: those named, else all noise parameters that the sources have use for (truth: there is one).
-
-    Raises ConfigError for a name that is no such key.
-    """
+    """The keys to vary: those named, else all noise parameters in use (truth: there is one). Raises ConfigError."""
     names = list(named)
     if unknown := [name for name in names if name not in KEYS]:
         raise ConfigError(f"--vary {unknown[0]}: cannot be tuned; there are {', '.join(KEYS)}")

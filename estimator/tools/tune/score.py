@@ -1,13 +1,10 @@
-"""How well does a configuration predict what it was not shown? The score that `landfix tune` maximises, of one log.
+"""The score of a configuration on one log: the log-likelihood of fixes that were held back.
 
-Absolute fixes are held back in windows, outages that never were, each fix once. Each, z of covariance R, is compared with the
-estimate x that was published for its time, of covariance P:
+Absolute fixes are held back in windows, each once, and compared with the published estimate x of covariance P:
 
     y = z [-] x,   S = P + R,   score = ln( (1 - eps) N(y; 0, S) + eps U )
 
-the logarithmic score (Gneiting & Raftery 2007, JASA 102): proper, so in expectation no covariance scores better than the true
-one, neither a larger nor a smaller. eps U is the density of a false fix, as the estimator has it, so that a false fix costs a
-bounded amount. A time without an estimate scores ln(eps U).
+a proper score (Gneiting & Raftery 2007, JASA 102); eps U: density of a false fix. A time without an estimate scores ln(eps U).
 """
 
 import math
@@ -44,9 +41,9 @@ Absolute = PoseFix | LandmarkFix | GnssFix
 
 
 class Job(msgspec.Struct, frozen=True):
-    """One log under one configuration. values: "section.key" -> number, in place of those of the TOML text `config`.
+    """One log under one configuration; values: "section.key" -> number in place of those of the TOML text `config`.
 
-    outage_s: length of the windows, and of the time between them; truth: topic of poses to compare with instead of held fixes.
+    outage_s: of windows and the time between; truth: topic of poses in place of held fixes.
     """
 
     log: str
@@ -57,10 +54,9 @@ class Job(msgspec.Struct, frozen=True):
 
 
 class Window(msgspec.Struct, frozen=True):
-    """What came of one window: n comparisons and their mean score; of how many false is more probable than true.
+    """n comparisons of a window, their mean score, and how many are more probably false.
 
-    Of the others sums of y^T S^-1 y, of its degrees of freedom and of squared position errors; covered: how many positions lie
-    inside their 95 % ellipsoid.
+    Of the others sums of y^T S^-1 y, degrees of freedom and squared position errors; covered: inside their 95 % ellipsoid.
     """
 
     start_s: float
@@ -98,7 +94,7 @@ def score(job: Job) -> list[Window]:
 
 
 class _Stretches(NamedTuple):
-    """Time in equal stretches from begin_ns on; of a fold every other one is a window, so each is one in one of two folds."""
+    """Equal stretches of time from begin_ns on; every other one is a window in each of two folds."""
 
     begin_ns: int
     period_ns: int

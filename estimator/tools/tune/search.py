@@ -1,11 +1,7 @@
-"""Search of noise parameters over logs: coarse by a Sobol' sequence, fine by COBYQA, judged by score.py.
+"""Search of noise parameters over logs: a Sobol' sequence, then COBYQA (Ragonneau & Zhang 2024), judged by score.py.
 
-COBYQA (Ragonneau & Zhang 2024) is a trust-region method with quadratic models and bounds that needs no derivatives and few
-evaluations. Each evaluation runs every log once, in parallel; nothing depends on how many processes there are.
-
-A few logs fit themselves: weakly identifiable parameters would end anywhere, and noise a little too small costs little on average
-and much on the next, rougher flight. So of all that the logs do not separate from the best (of these Breiman et al. 1984 take the
-simplest) the one nearest to the start is taken wherever the start is the wider.
+Of the values that the logs do not separate from the best (Breiman et al. 1984) the one nearest to the start is taken, wherever
+the start is the wider.
 """
 
 import math
@@ -34,10 +30,8 @@ _BACK: Final = (0.25, 0.5, 0.75, 1.0)  # parts of the way back to a wider start
 
 
 class Summary(msgspec.Struct, frozen=True):
-    """Of a set of logs under one configuration.
-
-    score: mean over windows of the mean log score of a fix; false: fixes that are more probably false than true, which do not
-    count in what follows; nis_per_dof: 1 is consistent.
+    """Of logs under one configuration; score: mean over windows of a fix' log score; false: fixes more probably false, not
+    counted in nis_per_dof.
     """
 
     windows: int
@@ -62,9 +56,8 @@ class Gain(msgspec.Struct, frozen=True):
 
 
 class TunedKey(msgspec.Struct, frozen=True):
-    """A parameter before and after; half, double: what the score gains if it were so many times the tuned value.
-
-    determined: a loss on both sides that is more than chance.
+    """A parameter before and after; half, double: gain of the score at so many times the tuned value; determined: a loss on
+    both sides beyond chance.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""ROS bags: ROS 2 (MCAP, sqlite3) and ROS 1, with their sensors found by type and content.
+"""ROS bags: ROS 2 (MCAP, sqlite3) and ROS 1, sensors found by type and content. Begin with `convert`.
 
-Begin with `convert`. May import logs.importers.sensors, logs.importers.settings, logs.store, logs.wire and models.
+May import logs.importers.sensors, logs.importers.settings, logs.store, logs.wire and models.
 """

@@ -129,7 +129,7 @@ class Bag:
             reader.close()
 
     def _converted(self, path: Path, messages: Iterator[tuple[str, str, int, bytes, float]]) -> Iterator[Record]:
-        """ROS 1's bytes as CDR. A type that is named as one of ROS 2's but is another one cannot be read so."""
+        """ROS 1's bytes as CDR; a type that only has a name of ROS 2's is refused."""
         broken: set[str] = set()
         for topic, schema, t_ns, raw, share in messages:
             self._share = share

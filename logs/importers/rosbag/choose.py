@@ -1,4 +1,4 @@
-"""Which topic of a bag feeds which input: by type, then by what it holds. What is in doubt is not used, and its row says why."""
+"""The topic of a bag for each input, by type and content; one in doubt is not used, and its row gives the reason."""
 
 import re
 from collections.abc import Mapping
@@ -49,10 +49,7 @@ class Choice:
 
 
 def choose(found: Mapping[str, Survey], others: Mapping[str, str], wanted_imu: str = "") -> Choice:
-    """found: what was surveyed; others: topics whose messages were not read, with their types; wanted_imu: its topic.
-
-    Raises LogError where there is no IMU.
-    """
+    """found: surveyed topics; others: unread topics with their types; wanted_imu: topic. Raises LogError without an IMU."""
     notes: list[str] = []
     uses: dict[str, tuple[str, str]] = {}  # topic -> input, remark
     imu, mean_frd = _imu(found, wanted_imu, uses, notes)
@@ -98,11 +95,9 @@ def _imu(found: Mapping[str, Survey], wanted: str, uses: dict[str, tuple[str, st
 
 
 def _mounting(imu: str, mean: Array, notes: list[str]) -> tuple[str, tuple[float, float]]:
-    """Axes, and roll and pitch [deg] of the IMU in the body, of the mean specific force f in FLU.
+    """Axes, and roll and pitch [deg] of the IMU in the body, of the mean specific force f in FLU, to whole right angles.
 
-        down d = -f / |f| in FRD:  roll = atan2(d_y, d_z),  pitch = atan2(-d_x, sqrt(d_y^2 + d_z^2)),  to whole right angles
-
-    How it is turned about the vertical does not show.
+    down d = -f / |f| in FRD:  roll = atan2(d_y, d_z),  pitch = atan2(-d_x, sqrt(d_y^2 + d_z^2))
     """
     share = mean / float(np.linalg.norm(mean))
     if share[2] > _LEAN:

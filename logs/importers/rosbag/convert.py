@@ -1,7 +1,6 @@
-"""A bag -> a log of the sensors' messages under their own topics, and the configuration that reads them.
+"""A bag -> a log of the sensors' messages under their own topics, and its configuration.
 
-The bytes stay as they are, but for the stamps of topics that have none, or that are of another clock than the IMU's: these
-become the time of recording. Where the IMU's own clock is not the recorder's, times of arrival are shifted to it.
+Bytes stay as they are, except stamps that are missing or of another clock than the IMU's: these become the time of recording.
 """
 
 from collections.abc import Callable, Iterator, Mapping

@@ -1,9 +1,8 @@
-"""A ROS 1 bag record by record, for one whose recorder was killed before it wrote the index.
+"""A ROS 1 bag without an index, record by record ("Bags/Format/2.0" of the ROS wiki).
 
     record = header length, header, data length, data      header = (length, "name=value")*      all lengths uint32
 
-op 5: a chunk, whose data are records; op 7: a connection, whose data is a header with its type; op 2: a message. The rest is
-index. Source: the format's definition, "Bags/Format/2.0" of the ROS wiki.
+op 5: a chunk of records; op 7: a connection with its type; op 2: a message.
 """
 
 import bz2
@@ -42,10 +41,7 @@ class Unpacker:
 
 
 def messages(path: Path) -> Iterator[tuple[str, str, int, bytes, float]]:
-    """(topic, type, time of arrival [ns], bytes, share of the file) of every whole record before the first torn one.
-
-    Raises ValueError where the file is no bag, or holds no whole record.
-    """
+    """(topic, type, arrival [ns], bytes, share of the file) of whole records before the first torn one. Raises ValueError."""
     connections: dict[bytes, tuple[str, str]] = {}
     size = path.stat().st_size
     with path.open("rb") as file:
