@@ -1,4 +1,4 @@
-"""From a stereo pair to a LandmarkFix: one stage, one file, functions on arrays.
+"""From a stereo pair to a LandmarkFix: one stage, one file, functions on arrays, without I/O, clock or threads.
 
-May import models, numpy, scipy, numba and OpenCV; no I/O, no clock, no threads.
+May import models, numpy, scipy, numba and OpenCV.
 """

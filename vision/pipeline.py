@@ -1,11 +1,10 @@
-"""From images to a LandmarkFix, or the reason why there is none.
+"""From images to a LandmarkFix, or the reason for none.
 
     check -> predict and verify (predict.py)      where the prior is good enough
           -> all outlines as one pattern (pattern.py) where single outlines are too weak
           -> segment and identify (recognise.py)  at boot, where the prior is lost, or where that does not settle
 
-Nothing in here raises in flight. An image that is missing or useless leaves the work to the other camera: known landmarks give
-the scale, the fix says so, and its covariance shows it.
+Never raises in flight. Without a usable image of one camera the other one works alone.
 """
 
 from dataclasses import replace
@@ -156,12 +155,11 @@ def _with_remark(result: Result, remark: str) -> Result:
 
 
 def _to_the_next_house(result: Result, most: int, near: list[Landmark], prior: Prior) -> Array:
-    """Steps (S, 3) to positions that show the same, as far as the landmarks tell that a fix rests on (`most` of them are fitted).
+    """Steps (S, 3) to positions that show the same, as far as the landmarks of the fix decide (`most` of them are fitted).
 
-    Where houses look alike, each step of the map lays its outlines on houses again. An outline that lies within a few pixels by
-    chance (1 in 20) against one that is found where it is (6 in 10) is worth 12, one that is not found costs 2.6; eight houses
-    stand around: four found and one missing reach odds of 1000, three do not. But where the houses a step further are in the map
-    as well, chance has no part in it, and any number proves nothing.
+    An outline found by chance (1 in 20) against one found where it is (6 in 10) counts 12, one not found 1 / 2.6: over eight
+    houses around, four found and one missing reach odds of 1000. Where the map has the houses a step further, no number
+    decides.
     """
     if result.fix is None or result.pose is None:
         return np.zeros((0, 3))

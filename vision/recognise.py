@@ -1,8 +1,6 @@
-"""Recognition by description, for boot and for a prior that is lost: the stages of the thesis' chapter 5 in their order.
+"""Recognition by description, at boot and for a lost prior (thesis chapter 5); predict and verify then searches at its position.
 
-rectify -> segment -> regions -> correspond -> measure -> identify -> where the images were taken
-
-Predict and verify (predict.py) then searches there for all outlines in view, and only what it finds is a fix.
+rectify -> segment -> regions -> correspond -> measure -> identify -> position
 """
 
 from collections.abc import Sequence
@@ -70,10 +68,7 @@ class _Seen:
 
 @dataclass(frozen=True, slots=True)
 class Identified:
-    """A pose to examine: images, those that fit each other; posterior: where they were taken, by the prior and the identities.
-
-    reports: a line of each region.
-    """
+    """A pose to examine: images that fit each other; posterior: of the position; reports: a line of each region."""
 
     images: Images
     posterior: Prior

@@ -1,9 +1,8 @@
-"""Correspondence: where each region of the left image stands in the right one (thesis sections 4.3.2, 4.5 and 5.4).
+"""Correspondence: the region of the left image in the right one (thesis sections 4.3.2, 4.5 and 5.4).
 
     coarse   Sobel edges of a reduced image, normalised correlation coefficient along the epipolar line (eq. 4.64, 4.80),
-             only the region's own pixels and a rim, then back from right to left: the two must agree
-    fine     the region in cells; each cell's disparity maximises the same coefficient to a fraction of a pixel, by
-             Gauss-Newton on  I_r(u - d, v) = g I_l(u, v) + o,  whose remainder also says its variance
+             the region's own pixels and a rim, left to right and back
+    fine     in cells, by Gauss-Newton on  I_r(u - d, v) = g I_l(u, v) + o,  with the variance from the remainder
 
 Both images are rectified and grey, uint8 or uint16.
 """
@@ -44,12 +43,10 @@ class Search:
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """A region found in the right image. disparity = u_l - u_r.
+    """A region found in the right image; disparity = u_l - u_r.
 
-    points (M, 2), disparities (M,), sigmas (M,)   the cells [px]
-    plane          the disparity plane through them
-    score          correlation coefficient of the edges at the coarse level
-    vertical_px    v_r - v_l that remains, 0 for a calibrated, synchronous pair; vertical_sigma_px
+    points (M, 2), disparities (M,), sigmas (M,): the cells [px]; plane: through them; score: correlation coefficient at the
+    coarse level; vertical_px: v_r - v_l, 0 for a calibrated, synchronous pair, with vertical_sigma_px.
     """
 
     region: Region

@@ -1,7 +1,6 @@
-"""Do the two images fit each other? The vertical residual of matched regions, and of matched edges where there are no regions.
+"""Vertical residual v_l - v_r of matched regions, or edges: a wrong calibration, or shutters out of sync.
 
-In a rectified pair v_l = v_r. What is left says that the calibration is wrong, or that the two shutters did not open together.
-A wrong calibration along the rows makes wrong distances and cannot be seen; where the rows are wrong too, they are not used.
+A calibration that is wrong along the rows alone does not show here.
 """
 
 from collections.abc import Sequence
@@ -40,9 +39,8 @@ def region_residual(matches: Sequence[Match | Unmatched]) -> Residual | None:
 def edge_residual(
     left: Image, right: Image, rig: StereoRig, nearest_m: float = 4.0, vertical_px: int = 8, corners: int = _CORNERS
 ) -> Residual | None:
-    """From the strongest corners of rectified grey images, sought up to vertical_px above and below their row.
-
-    None where fewer than eight are found again. Slower than the regions (some 0.2 s), for tools and for a pair in doubt.
+    """From the strongest corners of rectified grey images, within vertical_px of their row; None where fewer than eight match.
+    About 0.2 s.
     """
     positions = cv2.goodFeaturesToTrack(left, corners, 0.02, 2.0 * _WINDOW)
     if positions is None:

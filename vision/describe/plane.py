@@ -1,8 +1,6 @@
-"""A plane in disparity: what a flat surface is to a rectified pair, fitted robustly.
+"""A plane in disparity, fitted robustly: errors of disparities are alike near and far, those of depths are not.
 
-    n . x_c = h,  d - offset = f b / Z    =>    d(u, v) = c + p (u - u0) + q (v - v0)          exactly affine
-
-Errors of disparities are alike near and far, errors of depths are not, so the fit is done here and turned into metres afterwards.
+n . x_c = h,  d - offset = f b / Z    =>    d(u, v) = c + p (u - u0) + q (v - v0)          exactly affine
 """
 
 import math
@@ -33,11 +31,9 @@ class DisparityPlane:
 
 
 def fit_plane(points: Array, disparities: Array, sigmas: Array, slope: Array, slope_sigma: float) -> DisparityPlane | None:
-    """The plane through disparities (N,) with sigmas (N,) at pixels (N, 2); Tukey's biweight, scale from the residuals.
+    """The plane through disparities (N,) with sigmas (N,) at pixels (N, 2) by Tukey's biweight; None without points.
 
-    slope (2,), slope_sigma: prior of (p, q) [px/px]; at a distance a region's own pixels say nothing about
-    its tilt. The sigmas are multiplied by the scatter found, as far as the points are many enough to know it better:
-    s^2 = (m + sum w r^2 / sigma^2) / (m + sum w - 3). None without points.
+    slope (2,), slope_sigma: prior of (p, q) [px/px]. Factor on the sigmas: s^2 = (m + sum w r^2 / sigma^2) / (m + sum w - 3).
     """
     if len(points) == 0:
         return None

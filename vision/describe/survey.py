@@ -1,7 +1,4 @@
-"""What does a pair show, in metres? All stages up to measure, one after the other, for tools and benchmarks.
-
-check -> rectify -> median -> segment -> regions -> correspond -> measure
-"""
+"""Regions of a pair in metres: check -> rectify -> median -> segment -> regions -> correspond -> measure."""
 
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -93,10 +90,7 @@ def segment_regions(image: Image, valid: Mask | None, settings: Settings) -> lis
 
 
 def to_8_bit(image: Image) -> Image:
-    """16-bit images stretched over what they use of their range (thesis eq. 4.60); 8-bit ones as they are.
-
-    One part in a hundred at either end does not count: a fire or the sky would leave all else a few levels.
-    """
+    """16-bit images stretched over their range less 1 % at either end (thesis eq. 4.60); 8-bit ones as they are."""
     return enhance.stretch(image, 0.01, 0.25) if image.dtype == np.uint16 else image
 
 

@@ -1,9 +1,8 @@
-"""Position by features of a georeferenced image: SIFT and FLANN, and a pose that explains the matches.
+"""Position by features of a georeferenced image: SIFT, FLANN, and a pose that explains the matches.
 
     keypoints of both images (Lowe 2004) -> nearest two descriptors, ratio test -> RANSAC (P3P) -> pose of inliers and prior
 
-It needs no good prior, only one that says which part of the map to compare. It fails where light or season have changed what the
-ground looks like: then vision/ground/registration.py.
+The prior only says which part of the map to compare. It fails in another light or season.
 """
 
 import math
@@ -95,8 +94,8 @@ class NotRecognised:
 
 @dataclass(frozen=True, slots=True)
 class Matches:
-    """Pixels (N, 2) of the left camera and points of the map (N, 3) that look alike; sigma_px: how well they are placed;
-    inlier_px: RANSAC's distance.
+    """Pixels (N, 2) of the left camera and map points (N, 3) that match; sigma_px: of their position; inlier_px: RANSAC's
+    distance.
     """
 
     px: Array
@@ -230,7 +229,7 @@ def _ransac(rig: StereoRig, px: Array, x_n: Array, inlier_px: float) -> NDArray[
 
 
 def _position(rig: StereoRig, R_nb: Array, px: Array, x_n: Array) -> Array:
-    """p_n of the body at a known attitude: sum (I - r r^T)(x - p_nc) = 0, r the rays; a plane has no mirrored pose then."""
+    """p_n of the body at a known attitude, without the mirrored pose of a plane: sum (I - r r^T)(x - p_nc) = 0, r the rays."""
     rays = rig.left.ray(px) @ (R_nb @ rig.R_bc).T
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
     p_nc = np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, x_n))

@@ -1,6 +1,6 @@
-"""A georeferenced image of the ground, an orthophoto or a satellite image: the map where it holds an image.
+"""A georeferenced image of the ground as the map.
 
-(north, east) = A (u, v, 1): position [m] of the pixel whose centre is at (u, v);  down = D(north, east): heights, bilinear
+(north, east) = A (u, v, 1) [m], (u, v) the pixel's centre;  down = D(north, east): heights, bilinear
 """
 
 import math
@@ -22,9 +22,9 @@ _LEAST_LEVEL_PX = 32  # of a pyramid's coarsest image
 
 @dataclass(frozen=True, eq=False)
 class Heights:
-    """down (h, w) [m] at the points of a raster, (north, east) = affine (u, v, 1); beyond its border the border's.
+    """down (h, w) [m] at the points of a raster, (north, east) = affine (u, v, 1), extended beyond its border.
 
-    unevenness_m: of what stands on it, roofs and trees; slope: of the ground, rad, where the raster does not show it.
+    unevenness_m: of roofs and trees on it; slope [rad]: of the ground, where the raster does not show it.
     """
 
     down: Array
@@ -51,9 +51,9 @@ class Heights:
 
 @dataclass(frozen=True, eq=False)
 class GroundImage:
-    """image (H, W[, 3]), affine (2, 3), heights; and what its georeference may be wrong by, one error for the whole image.
+    """image (H, W[, 3]), affine (2, 3), heights; sigma_m: of its position, per axis, height_sigma_m: of the ground's height.
 
-    sigma_m: horizontally, per axis; height_sigma_m: of the ground's height. Raises ValueError where the affine has no inverse.
+    Raises ValueError where the affine has no inverse.
     """
 
     name: str
@@ -74,10 +74,9 @@ class GroundImage:
 
     @property
     def shared_sigma(self) -> tuple[float, float, float]:
-        """What all its points share: horizontal, of the height [m], slope of the ground.
+        """Sigmas common to all its points: horizontal, height [m], slope of the ground.
 
-        What stands on the ground stands up: its heights do not cancel. Where a share p of the edges is h high, their standard
-        deviation is h sqrt(p (1 - p)), the unevenness, and their mean p h is sqrt(p / (1 - p)) of that.
+        For a share p of the edges at height h the unevenness is h sqrt(p (1 - p)), and the mean height sqrt(p / (1 - p)) of it.
         """
         mean = math.sqrt(_STANDING / (1.0 - _STANDING)) * self.heights.unevenness_m
         return self.sigma_m, math.hypot(self.height_sigma_m, mean), self.heights.slope
@@ -109,7 +108,7 @@ def to_pixels(affine: Array, position_n: Array) -> Array:
 
 
 def pyramid(image: Image) -> tuple[Image, ...]:
-    """An image in grey, 8 bit, and halved again and again: the pixel (u, v) of level k is (u, v) 2^k of level 0."""
+    """An image in grey, 8 bit, halved repeatedly: pixel (u, v) of level k is (u, v) 2^k of level 0."""
     levels = [grey(to_8_bit(image))]
     while min(levels[-1].shape) >= 2 * _LEAST_LEVEL_PX:
         levels.append(cv2.pyrDown(levels[-1]).astype(np.uint8))

@@ -1,10 +1,7 @@
-"""Position by learned features of the map's image, where their models are given: XFeat and LighterGlue as ONNX files.
+"""Position by learned features of the map's image: XFeat and LighterGlue as ONNX files, one thread, deterministic.
 
-    map's image, projected over its heights to what the prior sees -> keypoints of both (Potje et al. 2024) -> matches
-    (LightGlue, Lindenberger et al. 2023) -> RANSAC and pose as in features.py, with scale, heading and tilt by the prior
-
-They match images of other dates and oblique ones where SIFT does not. They match wrong images as well: what they find is judged
-as all features are. One thread; the same images give the same answer.
+map's image, projected over its heights to what the prior sees -> keypoints of both (Potje et al. 2024) -> matches
+(LightGlue, Lindenberger et al. 2023) -> RANSAC and pose as in features.py, with scale, heading and tilt by the prior
 """
 
 import hashlib

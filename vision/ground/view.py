@@ -1,4 +1,4 @@
-"""The ground from straight above, on a grid of positions: as the camera sees it from a pose, and as the map's image shows it.
+"""The ground from straight above on a grid, as the camera sees it and as the map's image shows it.
 
 position(i, j) = centre + q E ((j, i) - middle),   E = (e_1, e_2): along the camera's rows on the ground, and across
 """
@@ -51,10 +51,7 @@ class Grid:
 
 
 def make_grid(camera: Camera, map_image: GroundImage, most: int, finest_m: float = 0.0) -> Grid | None:
-    """A grid over what the camera sees of the ground, at most `most` points long; None where it points at the sky.
-
-    Its points are no closer than the pixels of image and camera are.
-    """
+    """A grid over the camera's view of the ground, at most `most` points long, no finer than the pixels; None: sky."""
     model, _, R_nc = camera
     positions = _footprint(camera, map_image)
     right = R_nc[:2, 0]

@@ -1,16 +1,10 @@
-"""Other poses that show the same image: half or quarter a turn about a symmetric landmark, and the mirrored tilt of a flat one.
+"""Other poses that show the same image.
 
     turn:       p' = c + Z (p - c),  R' = Z R,            Z = exp(pi e_d) or exp(+-pi/2 e_d), c the landmarks' middle
     mirror:     the same, then half a turn about the line of sight, R' = exp(pi u') Z R,  u' = Z u
+    step:       p' = p + l' - l,  R' = R                   l' a landmark like l
 
-Seen from far enough a flat roof cannot tell the mirrored pose from the true one (Oberkampf, DeMenthon and Davis 1996); a
-rectangle, or several laid out like one, cannot tell half a turn, nor a square a quarter. A round roof, drawn as a polygon, cannot
-tell any turn: its edges fit wherever the polygon is turned to.
-
-    step:       p' = p + l' - l,  R' = R                   l' a landmark that looks like l
-
-And where houses look alike, the next one shows the same image from one step further; only the prior, or the others in view, can
-tell.
+The mirrored pose: Oberkampf, DeMenthon and Davis 1996. A rectangle leaves half turns, a square quarters, a round roof any turn.
 """
 
 import math
@@ -62,11 +56,8 @@ def steps_off(
     p_n: Array, used: Sequence[Landmark], near: Sequence[Landmark], prior_p_n: Array, prior_covariance: Array, odds: float,
     share: float,
 ) -> Array:  # fmt: skip
-    """Steps (S, 3) from p_n to positions that the prior allows, at less than `odds` against them, and where the map repeats
-    itself.
-
-    There more than a share of the landmarks `used` have one that looks like them: the others may stand there without being in the
-    map.
+    """Steps (S, 3) from p_n to positions that the prior allows at less than `odds`, where more than a share of the landmarks
+    `used` have a similar one.
     """
     several, weights = _described(near), normalised(np.array([mark.weights for mark in near]))
     positions = np.array([(*mark.centre_n, mark.roof_d) for mark in near])

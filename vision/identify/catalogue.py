@@ -37,13 +37,11 @@ class Assumptions(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """A region as identification sees it; n at the prior's attitude.
+    """A region as identification uses it; n at the prior's attitude.
 
-    arm_n (3,) from body to region, moved_n (3,) from the body now to the body then; depth_sigma: relative error of its depth,
-    its own (position and sizes share it; what all regions share is not in it); covariance_n (3, 3) and log_size_covariance (2, 2)
-    of (log width, log length): the other errors; orientation_rad of the length, from north to east; now: in the present
-    image, not remembered. partial: of a region that the border cuts off; then the arm ends where the centre would be, were it
-    like the landmarks that it may be, the covariance of log sizes is of two sides, and the sizes are lower bounds.
+    arm_n (3,): body to region; moved_n (3,): body now to body then; depth_sigma: relative, its own; covariance_n (3, 3),
+    log_size_covariance (2, 2) of (log width, log length); orientation_rad: of the length, from north to east; now: in this image;
+    partial: cut off by the border: the arm is to where the centre would be, sizes are lower bounds, covariances of two sides.
     """
 
     arm_n: Array
@@ -68,8 +66,8 @@ class Catalogue:
     """Landmarks near the prior as arrays.
 
     position_n (J, 3) of the roof's centre, variance_n (J, 3); features (J, 4): log width, log length, fill ratio, orientation;
-    description and weights (J, 4) of the similarity; chroma (J, 2), NaN unknown; density_per_m2: of objects around an object.
-    vertices (V, 2), offsets (J + 1,): the outlines one after the other.
+    description, weights (J, 4) of the similarity; chroma (J, 2), NaN unknown; density_per_m2; vertices (V, 2), offsets (J +
+    1,): the outlines.
     """
 
     ids: tuple[str, ...]

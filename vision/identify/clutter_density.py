@@ -1,15 +1,10 @@
-"""How dense objects that are not in the map are where a region is seen, by how the image is turned and grown.
+"""Density of unmapped objects at a region's position, by turn t and log scale s of the image.
 
     f_i(h) = sum_ts w_ts f_i(t, s) / sum_ts w_ts,     w_ts = exp(-|(t, s) - (x_t, x_s)|^2_P / 2)
 
-(t, s): turn about the vertical and log scale, two of the errors x that all regions share; x, P: what a hypothesis has found of
-them. In streets and among ambiguous landmarks f_i has summits: at one of many turns and scales there is nearly always a house
-beside which something unmapped might stand just so. The search goes by the highest of them, which no hypothesis exceeds; but a
-hypothesis has one turn and scale, and it is judged by what f_i is there.
-
-f_i is the density at region i's displacement from the other regions: given the first object of a street, the others stand a
-block apart. But the first may stand anywhere. So a hypothesis that names no landmark, and has no other position in the map, is
-divided by how far f_i is above the mean density f, the mean over which region is the first,
+x, P: errors common to all regions, of a hypothesis. The search uses the highest f_i, a hypothesis is judged by its own. f_i is
+the density at the displacement from the other regions; the first object may stand anywhere, so a hypothesis that names no
+landmark has
 
     prod_i f_i  exp(-(1 / M) sum_i ln (f_i / f))
 """
@@ -26,9 +21,9 @@ _TURN, _SCALE = 5, 6  # of x
 
 @dataclass(frozen=True, slots=True)
 class ClutterDensity:
-    """log_density (M, T, S) of M regions, at turns (T,) rad and log scales (S,), both evenly apart.
+    """log_density (M, T, S) of M regions at turns (T,) rad and log scales (S,), evenly spaced.
 
-    log_above_mean (T, S): of their position, above that of one that stands anywhere, mean over the regions; not below 0.
+    log_above_mean (T, S): of their position above one anywhere, mean over the regions, at least 0.
     """
 
     log_density: Array
@@ -42,8 +37,8 @@ class ClutterDensity:
         return np.asarray(self.log_density.max(axis=(1, 2)))
 
     def below_highest(self, absent: NDArray[np.bool_], x: Array, covariance: Array) -> Array:
-        """Log of f_i over its highest, summed over the regions that a hypothesis says are not in the map, and that of the first
-        where all are absent (H,), never above 0.
+        """Log of f_i over its highest, summed over the absent regions of a hypothesis, with the first where all are absent
+        (H,), <= 0.
 
         absent (H, M); x (H, 7), covariance (H, 7, 7).
         """

@@ -1,11 +1,8 @@
-"""Regions of earlier images that are still open: they wait, and are decided together with what the next images show.
+"""Open regions of earlier images, decided together with the next ones.
 
     z = p_n(then) + r,   error of z = dp - [r]x dtheta + drift,   drift ~ N(0, P_now - P_then)
 
-Between two images without a fix the prior moves by dead reckoning, so its error stays nearly the same: the image taken then
-and the one taken now are one larger image. Each object stands in it once, with its newest measurement. The weights of
-hypotheses are not multiplied from image to image: the same object, measured again with the same errors of the map, would be
-counted as new evidence each time.
+Each object counts once, with its newest measurement; weights of hypotheses are not multiplied from image to image.
 """
 
 from dataclasses import dataclass, replace

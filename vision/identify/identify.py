@@ -1,8 +1,7 @@
-"""Which landmark is each region? Candidates by the thesis' similarity, the decision by the posterior of all regions together.
+"""The landmark of each region: candidates by the thesis' similarity, decision by the posterior of all regions together.
 
-A region is identified when the probability of its identity, summed over all joint assignments, reaches `accept_posterior`;
-else it stays open. Similar objects agree with the description of a landmark as well as the landmark does, so no threshold on the
-similarity can tell them apart; how the regions stand to each other can.
+A region is identified when the probability of its identity, over all joint assignments, reaches `accept_posterior`; else it is
+open.
 """
 
 from collections.abc import Sequence
@@ -24,10 +23,8 @@ NONE = -1  # not a landmark of the map
 
 
 class IdentifyConfig(msgspec.Struct, frozen=True):
-    """When a region is identified.
-
-    min_similarity: to be a candidate at all; accept_posterior: of an identity; fix_posterior: of the position that the identities
-    say together; breadth: joint hypotheses followed.
+    """min_similarity: of a candidate; accept_posterior: of an identity; fix_posterior: of the position; breadth: joint
+    hypotheses followed.
     """
 
     min_similarity: float = 0.75
@@ -39,14 +36,12 @@ class IdentifyConfig(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Identification:
-    """What the regions are; M regions, indices into the catalogue, NONE where it is nothing of the map.
+    """M regions, indices into the catalogue, NONE where it is none of the map.
 
-    landmark, posterior: the most probable identity of each and its probability;  accepted: identified
-    best, similarity: the most similar candidate and eq. 5.5 of it (NONE, 0 without a candidate);  own_similarity: of `landmark`
-    candidates: how many landmarks it may be
-    joint_posterior: that all accepted identities are right;  position_posterior: that one of them is and none is another landmark
-    instead, so that the position is right (0 where nothing is identified)
-    x (7,), covariance (7, 7): error of the prior (position, attitude, log scale) if they are.
+    landmark, posterior: most probable identity and its probability; accepted: identified
+    best, similarity: most similar candidate and its eq. 5.5 (NONE, 0);  own_similarity: of `landmark`; candidates: their number
+    joint_posterior: all accepted identities are right;  position_posterior: at least one is, and none is another landmark (0:
+    none) x (7,), covariance (7, 7): error of the prior (position, attitude, log scale) if they are.
     """
 
     landmark: NDArray[np.int64]
@@ -68,8 +63,7 @@ def identify(
 ) -> Identification:  # fmt: skip
     """Identify regions as landmarks near the prior.
 
-    scale_sigma: relative error of depth that all regions share (the rig's). metric=False: one camera only, the arms are laid
-    on the plane of the mean roof; depth follows from each landmark's roof and the prior's height, and sizes give the scale.
+    scale_sigma: relative error of depth common to all regions. metric=False: one camera, arms end on the plane of the mean roof.
     """
     config = config or IdentifyConfig()
     several = list(sightings)
@@ -176,9 +170,8 @@ def _marginals(landmark: NDArray[np.int64], probability: Array, count: int) -> t
 def _accept(
     landmark: NDArray[np.int64], found: Hypotheses, best: NDArray[np.int64], posterior: Array, threshold: float
 ) -> tuple[NDArray[np.bool_], float, NDArray[np.bool_]]:
-    """Regions identified, the probability that all of them are right, and the hypotheses (H,) that say so.
-
-    Each being likely does not make all of them likely: the least certain one goes until together they reach the threshold.
+    """Regions identified, the probability that all are right, and the hypotheses (H,) with them; the least certain go until it
+    suffices.
     """
     accepted = (posterior >= threshold) & (best != NONE)
     while True:

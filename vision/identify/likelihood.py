@@ -1,15 +1,11 @@
-"""What each region may be, and how likely what was measured is then: the options of vision/identify/assignment.py.
+"""The options of each region for vision/identify/assignment.py, and their likelihood.
 
-A landmark j shown by region i, both described by (position, log width, log length, fill ratio, orientation):
+Landmark j shown by region i:
 
     l_j - (p + r_i) = dp - [r_i]x dtheta + r_i (exp(s) - 1) + e,   log w_j - log w_i = s + e,   psi_j - psi_i = dtheta_z + e
 
-r_i: arm from body to region in n at the prior, s: the log scale of depth that all regions share. Each landmark stands there
-twice, measured well and, rarely, measured badly (a shadow or a neighbour grown into the region): same equations, wide noise.
-
-Of a region that the border cuts off its corners take the place of the centre (partial.py).
-
-A region that is no landmark of the map: clutter.py.
+r_i: arm from body to region at the prior, s: log scale of depth. Each landmark is an option twice, measured well and, rarely,
+badly (wide noise). Regions cut by the border: partial.py; no landmark: clutter.py.
 """
 
 import math
@@ -38,10 +34,9 @@ def options(
     sightings: list[Sighting], landmarks: Catalogue, p_n: Array, covariance: Array, candidate: NDArray[np.bool_], scale: Array,
     assumptions: Assumptions,
 ) -> Options:  # fmt: skip
-    """All that each region may be: none of the map, and each candidate (M, J), measured well or badly, whose position is
-    possible.
+    """None of the map, and each possible candidate (M, J), measured well or badly.
 
-    covariance (7, 7) of x at the prior; scale (M, J): by which lengths of the region are to be multiplied.
+    covariance (7, 7) of x at the prior; scale (M, J): factor on the region's lengths.
     """
     b = assumptions
     arm = np.array([r.arm_n for r in sightings]).reshape(-1, 3)
@@ -88,9 +83,7 @@ def options(
 
 
 class _Pairs(NamedTuple):
-    """N pairs of a region and a landmark. arm (N, 3): to what was measured; target, variance (N, 3): where the map has that;
-    features, described (N, 4): measured and of the map; known (N, 4): which of them are.
-    """
+    """N pairs of region and landmark: arm (N, 3); target, variance (N, 3) mapped; features, described (N, 4); known (N, 4)."""
 
     region: NDArray[np.int64]
     landmark: NDArray[np.int64]
@@ -145,10 +138,8 @@ def _bad_noise(r: Sighting, b: Assumptions) -> list[float]:
 
 
 def _colour(region: Array, landmark: Array, b: Assumptions, sigma: float = 0.06, any_colour: float = 0.3) -> tuple[Array, Array]:
-    """Log density of a region's chroma as each landmark (M, J), and as none of them (M,).
-
-    A normal about the map's colour, or (any_colour of the time: paint fades, light is coloured) uniform over the triangle of
-    chromas, whose area is 1/2. Where either colour is unknown it says nothing.
+    """Log density of a region's chroma as each landmark (M, J), and as none (M,): normal about the map's colour, or uniform
+    over the triangle of chromas (any_colour of the time); an unknown colour counts for nothing.
     """
     squared = ((region[:, None] - landmark[None]) ** 2).sum(axis=-1) / sigma**2
     density = (1.0 - any_colour) * np.exp(-0.5 * squared) / (2.0 * math.pi * sigma**2) + any_colour * 2.0
@@ -209,10 +200,7 @@ def _outer(a: Array) -> Array:
 
 
 def _excluded(y: Array, A: Array, spread: Array, prior: Array, r: Array) -> NDArray[np.bool_]:
-    """Which positions (N,) are impossible under the prior, whatever else is seen; spread (N, 3, 3): of the position as measured.
-
-    1/2 s^2 r is what the linear equation leaves out.
-    """
+    """Positions (N,) that the prior excludes; spread (N, 3, 3): of the measured position; the linear equation omits 1/2 s^2 r."""
     linear = A[:, :, :STATES].copy()
     linear[:, :, SCALE] += A[:, :, GROWTH]
     whole = linear @ prior @ linear.transpose(0, 2, 1) + spread + 0.75 * prior[SCALE, SCALE] ** 2 * _outer(r)

@@ -36,11 +36,7 @@ def level(prior: Prior, rig: StereoRig) -> Level:
 
 
 def from_stereo(m: Measured, prior: Prior, rig: StereoRig) -> Sighting | None:
-    """A region whose distance was measured; rig: the rectified one.
-
-    Sizes are taken on the level plane at that distance: over one roof the attitude is known far better than the slope of a few
-    disparities.
-    """
+    """A region with measured distance; rig: the rectified one; sizes are on the level plane at that distance."""
     own = math.hypot(m.disparity_sigma_px, _UNEVEN * m.rig_sigma_px) / m.disparity_px
     return _on_level(m.region, prior, rig, float((prior.R_nb @ rig.R_bc @ m.centre_c)[2]), own)
 

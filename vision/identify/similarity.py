@@ -1,11 +1,9 @@
-"""How well a measured region agrees with the description of a landmark, as the thesis reports it.
+"""Similarity of a measured region and a landmark's description.
 
     S' = S_measured / S_map,  W' = W_measured / W_map,  L' = L_measured / L_map,  F' = F_measured / F_map   (thesis, eq. 5.1-5.4)
     similarity = w1 S' + w2 W' + w3 L' + w4 F'                                                             (thesis, eq. 5.5)
 
-Two repairs: a ratio r above one counts as 1/r (else a region twice too large is 200 % similar), and the weights, which sum to
-1.0257 in the thesis, are divided by their sum. Similarity makes a region a candidate; it does not decide: ambiguous landmarks
-have it too.
+Two repairs: a ratio above one counts as its inverse, and the weights (sum 1.0257 in the thesis) are normalised.
 """
 
 from collections.abc import Sequence
@@ -25,10 +23,9 @@ def normalised(weights: Array | Sequence[float] | Sequence[Sequence[float]]) -> 
 
 
 def similarity(measured: Array, described: Array, weights: Array) -> Array:
-    """Similarity 0 ... 1 of descriptions (..., 4): size m^2, width m, length m, fill ratio; weights (..., 4) sum to 1.
+    """0 ... 1 of descriptions (..., 4): size m^2, width m, length m, fill ratio; weights (..., 4) sum to 1; shapes broadcast.
 
-    Shapes broadcast: measured (M, 1, 4) against described (1, J, 4) gives (M, J). A figure that is not positive or not finite
-    agrees with nothing: its ratio is 0.
+    A figure that is not positive and finite has the ratio 0.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         r = np.asarray(measured, np.float64) / described

@@ -1,4 +1,4 @@
-"""The camera's image before anything is recognised in it: is it one, lens taken out, contrast, reduced copies.
+"""The camera's image before recognition: check, rectification, contrast, reduced copies. Begin with `rectify`.
 
-Begin with `rectify`. May import models, nothing else of vision.
+May import models, nothing else of vision.
 """

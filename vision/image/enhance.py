@@ -1,7 +1,4 @@
-"""Image enhancement (thesis section 4.2): median, contrast stretch of a whole image and by blocks, fog, gamma, log.
-
-All take uint8 or uint16, grey or BGR. The stretches give uint8: a thermal camera's 16 bits become 8 here.
-"""
+"""Image enhancement (thesis section 4.2) of uint8 or uint16, grey or BGR; the stretches give uint8."""
 
 from typing import Any
 
@@ -20,19 +17,14 @@ def median(image: Image, window: int = 5) -> Image:
 
 
 def limits(image: Image, clip: float = 0.01) -> tuple[float, float]:
-    """c, d of the stretch: the levels below and above which a part `clip` of the pixels lie.
-
-    Percentiles instead of minimum and maximum, so that one dead and one hot pixel do not stop the stretch (the outlier of
-    thesis section 4.2.1.4). Colour keeps its hue: the limits are common to the three channels.
-    """
+    """c, d of the stretch: levels below and above which a part `clip` of the pixels lie, common to the channels (hue stays)."""
     low, high = np.percentile(image[::_SAMPLE, ::_SAMPLE], (100.0 * clip, 100.0 * (1.0 - clip)))
     return float(low), float(high)
 
 
 def stretch(image: Image, clip: float = 0.01, margin: float = 0.0) -> NDArray[np.uint8]:
-    """s = (r - c) (b - a) / (d - c) + a, a = 0, b = 255 (thesis eq. 4.60). A flat image becomes middle grey.
-
-    margin: room left beyond c and d, as a share of d - c, so that what is a little hotter than nearly all is not cut off.
+    """s = (r - c) (b - a) / (d - c) + a, a = 0, b = 255 (thesis eq. 4.60); flat: middle grey; margin: room beyond c, d, of d -
+    c.
     """
     c, d = limits(image, clip)
     if d <= c:
@@ -43,10 +35,8 @@ def stretch(image: Image, clip: float = 0.01, margin: float = 0.0) -> NDArray[np
 
 
 def stretch_blocks(image: Image, blocks: int = 4, clip: float = 0.01, min_range: float = 0.1) -> NDArray[np.uint8]:
-    """The same in blocks x blocks pieces, each with its own c and d (thesis section 4.2.1.4, the last resort).
-
-    Between the middles of the blocks c and d are interpolated, or their borders would be seen as edges. A block without
-    contrast gets at least `min_range` of the image's range, or its noise would be stretched to objects.
+    """The same in blocks x blocks pieces with interpolated c and d (thesis section 4.2.1.4), at least `min_range` of the
+    image's range.
     """
     height, width = image.shape[:2]
     least = min_range * max(np.subtract(*limits(image, clip)[::-1]), 1.0)
@@ -63,10 +53,9 @@ def stretch_blocks(image: Image, blocks: int = 4, clip: float = 0.01, min_range:
 
 
 def unveil(image: NDArray[np.uint8], least: float = 0.72) -> NDArray[np.uint8]:
-    """r - dark, in each channel (Chavez 1988): what fog adds to every pixel, and with it what it took of the colours.
+    """r - dark, in each channel (Chavez 1988): the light that fog adds, (H, W, 3).
 
-    dark: the level below which one pixel in a hundred lies, nine tenths of it. Only where that level is more than `least` of the
-    median: on a clear day the darkest pixels are the shadows, and those are not fog. (H, W, 3).
+    dark: nine tenths of the level of the darkest hundredth, where that is more than `least` of the median.
     """
     dark, middle = np.percentile(image[::_SAMPLE, ::_SAMPLE].reshape(-1, 3), (1.0, 50.0), axis=0)
     if dark.mean() < least * middle.mean():

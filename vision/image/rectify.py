@@ -1,9 +1,8 @@
-"""Rectification: both cameras turned so that corresponding points stand in the same row, lens distortion taken out.
+"""Rectification: both cameras turned so that corresponding points share a row, lens distortion taken out, by maps made once.
 
     x_c' = R_cc' ^T x_c,   x_r' = x_c' - (b, 0, 0)     (both cameras look the same way, side by side: R_rc = I)
 
 so that u_l - u_r = f b / Z + cx_l - cx_r and v_l = v_r (thesis sections 3.9 and 5.1.2-5.1.4, eq. 3.128).
-Which raw pixel a rectified one takes its value from does not change in flight, so the maps are made once.
 """
 
 from dataclasses import dataclass

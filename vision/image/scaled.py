@@ -1,8 +1,4 @@
-"""Images of another size than the calibration's: scaled where the aspect ratio is the camera's.
-
-u' + 1/2 = s (u + 1/2), so that the camera's parameters stay as they are. A crop of the sensor with the same aspect ratio shows in
-nothing.
-"""
+"""Images of another size than the calibration's, of the same aspect ratio: u' + 1/2 = s (u + 1/2)."""
 
 from typing import Final
 

@@ -1,15 +1,13 @@
-"""Landmarks learned from a flight: one roof, seen from many positions, becomes one landmark with its covariance.
+"""Landmarks learned from a flight: one roof from many positions becomes one landmark with its covariance.
 
     z_i = l + n_i + F_i s,   n_i ~ N(0, R_i) anew in each image,   s ~ N(0, I) the same in all of them
 
-F_i: pose (a systematic error of GNSS is the same along the flight), mounting, lens, depth as the rig's calibration gives it.
-A pair of images says little about depth, and n of them no more, for the calibration's part of F_i, d_i, is the same in all. The
-flight does, for the rays of one roof meet in one point:
+F_i: pose, mounting, lens, depth (its column d_i). Rays of one roof meet in one point:
 
     l    = C (Lambda_0 l_0 + sum S_i^-1 z_i),   C = (Lambda_0 + sum S_i^-1)^-1,   S_i = R_i + n d_i d_i^T
     cov  = C (Lambda_0 + sum S_i^-1 R_i S_i^-1) C + F F^T,    F = sum C S_i^-1 F_i
 
-so that what repeats is never averaged away, however often a roof is seen. l_0: roofs stand a few metres above the ground.
+so systematic errors are not averaged away. l_0: roofs stand a few metres above the ground.
 """
 
 from collections.abc import Sequence
@@ -35,10 +33,9 @@ _NOT = 1e6  # cost of what is excluded
 
 
 class MappingConfig(msgspec.Struct, frozen=True):
-    """From observations to landmarks. roof_m: of a roof above ground, before any measurement; centre_px, side_px: of a region;
-
-    fresh_share: of the pose's variance that is new in each image, the rest is the same in all; drift_m: by which it changes
-    along a flight; uneven: part of the rig's error of disparity that differs over the image; gate: probability inside it.
+    """roof_m: of a roof above ground, a priori; centre_px, side_px: of a region; fresh_share: of the pose's variance, new in
+    each image; drift_m: along a flight; uneven: part of the rig's disparity error that differs over the image; gate:
+    probability.
     """
 
     roof_m: float = 4.0
@@ -54,10 +51,10 @@ class MappingConfig(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """A region in one image. z (3,) m in n, R (3, 3), F (3, k), depth (3,) its column of the rig's depth.
+    """A region in one image: z (3,) m in n, R (3, 3), F (3, k), depth (3,) its column of the rig's depth.
 
-    p_nc: the camera; rays (K, 3) of the outline in n, of down 1; log_sides (2,) of width and length where roofs are expected,
-    log_sigma (2,) of them; pixel_m: a pixel there; ray (3, 3): information of the ray alone, without its length, 1 / m^2.
+    p_nc: the camera; rays (K, 3) of the outline, down 1; log_sides (2,), log_sigma (2,) of width and length where roofs are
+    expected; pixel_m: a pixel there; ray (3, 3): information of the ray without its length, 1 / m^2.
     """
 
     frame: int
@@ -82,10 +79,7 @@ class Observation:
 def observe(
     frame: int, region: Region, measured: Measured | None, prior: Prior, rig: StereoRig, ground_d: float, config: MappingConfig
 ) -> Observation | None:
-    """A region, and its distance where that was measured, from the pose of its image; None where it is seen too flat.
-
-    rig: the rectified one.
-    """
+    """A region with its distance, where measured, from the pose of its image; None: seen too flat; rig: the rectified one."""
     p_nc, R_nc = rig.camera_pose(prior.p_n, prior.R_nb)
     rays = rig.left.ray(region.outline) @ R_nc.T
     down = ground_d - config.roof_m - float(p_nc[2])
@@ -182,10 +176,7 @@ class Track:
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """Where one thing is: l (3,), own (3, 3) the part of the covariance that is only its own, F (3, k) what others share;
-
-    chi2: sum of the squared distances of its observations, over their degrees of freedom.
-    """
+    """l (3,); own (3, 3): the object's own covariance; F (3, k): common; chi2: squared distances over degrees of freedom."""
 
     position_n: Array
     own: Array

@@ -16,10 +16,8 @@ _WOBBLE_CELLS = 2.0  # of an outline that is no polygon
 
 
 class Merged(NamedTuple):
-    """outline (K, 2) about its centroid, anticlockwise seen from above.
-
-    agreement: of the single ones with what they have in common, mean intersection over union: near 1 for a level roof, less for
-    what looks different from each side, as walls do.
+    """outline (K, 2) about its centroid, anticlockwise from above; agreement: mean intersection over union (near 1 for a level
+    roof).
     """
 
     outline: Array
@@ -27,10 +25,7 @@ class Merged(NamedTuple):
 
 
 def merged_outline(outlines: Sequence[Array], cell_m: float) -> Merged | None:
-    """Of outlines (K_i, 2) north, east, each laid on its own centroid; cell_m: of the grid on which they vote.
-
-    None where no half of them has anything in common, or where that is no polygon.
-    """
+    """Of outlines (K_i, 2) north, east on their centroids, by votes on a grid of cell_m; None: no half agrees, or no polygon."""
     laid = [outline - _centroid(outline) for outline in outlines]
     half = float(np.max([np.abs(outline).max() for outline in laid]))
     cell = max(cell_m, 2.0 * half / _MOST_CELLS)

@@ -17,10 +17,8 @@ _EDGE_PX = 0.4  # of all edges alike: blur, shadow along one side
 
 
 class KeepConfig(msgspec.Struct, frozen=True):
-    """Which tracks are landmarks. least_frames: seen in so many; sigma_m, height_sigma_m: no worse; least_m2: no smaller;
-
-    most_chi2: of its observations, per degree of freedom; least_agreement: of its outlines (0.9: roofs have more, walls less);
-    painted_sigma: a roof within so many of its sigmas above ground is on it.
+    """Limits of a landmark: least_frames, sigma_m, height_sigma_m, least_m2; most_chi2: per degree of freedom; least_agreement:
+    of its outlines; painted_sigma: a roof within so many sigmas of the ground is on it.
     """
 
     least_frames: int = 4
@@ -34,10 +32,7 @@ class KeepConfig(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Learned:
-    """landmarks, in how many images each was seen, and the tracks left out by reason.
-
-    common (3, 3): covariance of the error that moves the whole map; it is no part of each landmark's own.
-    """
+    """Landmarks, the images of each, and tracks left out by reason; common (3, 3): covariance of the map's common error."""
 
     landmarks: list[Landmark]
     seen: list[int]

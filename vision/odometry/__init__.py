@@ -1,4 +1,4 @@
-"""Visual odometry: the motion of the body between two stereo pairs. Pure functions on arrays; begin with `step`.
+"""Visual odometry: the motion of the body between two stereo pairs, as pure functions. Begin with `step`.
 
-May import vision.records and what is below it.
+May import vision.records and the layers below it.
 """

@@ -21,9 +21,9 @@ _COLUMNS, _ROWS = 12, 8
 
 
 def corners(image: Image, mask: Mask | None, wanted: int) -> Array:
-    """(N, 2) pixels (u, v), N <= wanted: at most a few of each grid cell, strongest first within it.
+    """(N, 2) pixels (u, v), N <= wanted: the strongest of each grid cell, in the order of the cells.
 
-    image (H, W) uint8; mask: 0 where no corner may be. The order is that of the cells: the same image gives the same corners.
+    image (H, W) uint8; mask: 0 where no corner may be.
     """
     if image.shape[1] > _WIDE_PX:
         small = reduced(image, 2)

@@ -3,15 +3,12 @@
     z_0 = y + i delta + e_0,   z_1 = g(y; T) + i delta + e_1,   g = h o T^-1 o h^-1,   i = (0, 0, 1)   (two views of each point)
     d(y) = f b pi^T m(y) + e_d,   m = ((u_l - c_x) / f, (v_l - c_y) / f, 1)                           (ground plane, optional)
 
-h projects a point of the camera to (u_l, v_l, u_r); T is the pose of the body at t1 in the body at t0 (p, R). delta is the error
-that the rig gives all disparities, N(0, sigma_delta^2). The plane is pi = n / height with the normal n in the camera; in the
-disparity d it is linear, and known to pi_0 +- the errors of height and slope. With G = dg/dy, C = dg/d(T, delta, pi) and
-S = R_1 + G R_0 G^T (and a row for the plane) each point contributes C^T S^-1 C, and y follows (Schur complement; Triggs et al.
-2000). Points are not fixed at what the first pair measured: at small disparities that would shorten the motion.
+h projects a point of the camera to (u_l, v_l, u_r); T: pose of the body at t1 in the body at t0 (p, R). delta: error of all
+disparities by the rig, N(0, sigma_delta^2). pi = n / height. With G = dg/dy, C = dg/d(T, delta, pi), S = R_1 + G R_0 G^T each
+point contributes C^T S^-1 C (Schur complement; Triggs et al. 2000).
 
-With N the normal matrix and L the part of it that the priors of delta and height give, an error of a prior repeats in every step:
-it is N^-1 L (prior - truth), given apart; the rest, N^-1 (N - L) N^-1, is new in each.
-Errors are those of the filter: p_true = p + dp, R_true = R exp(theta).
+With the normal matrix N and its part L by the priors of delta and height, N^-1 L (prior - truth) is the systematic error;
+N^-1 (N - L) N^-1 is new in each step. p_true = p + dp, R_true = R exp(theta).
 """
 
 from dataclasses import dataclass
@@ -72,8 +69,8 @@ class Plane:
 class Solution(NamedTuple):
     """motion; covariance (6, 6) of what is new in this step; squared distances (N,); scale of the residuals, 1 = as expected.
 
-    systematic: (6, 2) motion - truth for disparities 1 sigma too large, and for a height 1 sigma too large. residuals: (N, 2) of
-    (u_l, v_l) at t1, in sigma. converged: False: the rest means nothing.
+    systematic: (6, 2) motion - truth for disparities, and for a height, 1 sigma too large; residuals: (N, 2) of (u_l, v_l) at
+    t1, in sigma; converged: False: the rest is meaningless.
     """
 
     motion: Motion
@@ -148,11 +145,10 @@ def solve(
     *,
     guide: Array | None = None,
 ) -> Solution:
-    """The motion that two measurements (N, 3) of N points have; NaN in u_r: not measured (then there must be a plane).
+    """The motion of two measurements (N, 3) of N points; NaN in u_r: not measured (then with a plane); sigma_px: of each value.
 
-    sigma_px: of each measured value. Robust: Cauchy weights; their scale is that of the residuals, which fall.
-    guide: information (6, 6) that keeps the motion near the start; the scale is then the noise from the beginning. It finds the
-    points of the one of several motions that is nearest: choose them by it, and solve without.
+    Cauchy weights with the residuals' scale. guide: information (6, 6) that keeps the motion near the start, with the scale of
+    the noise: it selects the points of the nearest of several motions.
     """
     z0, variance0 = _filled(geometry, y0, sigma_px, plane)
     variance1 = np.where(np.isfinite(y1), sigma_px**2, _NOTHING_PX2)
@@ -204,10 +200,7 @@ def _prior(disparity_sigma_px: float, plane: Plane | None) -> Array:
 
 
 def _errors(N: Array, disparity_sigma_px: float, plane: Plane | None) -> tuple[Array, Array]:
-    """Covariance (6, 6) of what is new in each step, symmetric to the bit, and what repeats (6, 2).
-
-    N is inverted in units of its diagonal, D N D with D = diag(N)^-1/2: metres, radians and pixels differ by orders of magnitude.
-    """
+    """Covariance (6, 6) new in each step, symmetric to the bit, and the systematic part (6, 2); N is scaled by diag(N)^-1/2."""
     units = np.diag(N) ** -0.5
     P = units[:, np.newaxis] * np.linalg.inv(N * np.outer(units, units)) * units
     P = 0.5 * (P + P.T)
@@ -274,9 +267,8 @@ def _linearised(
 def _with_plane(
     geometry: Geometry, y: Array, pi: Array, plane: Plane, rows: tuple[Array, Array, Array, Array]
 ) -> tuple[Array, Array, Array, Array]:
-    """Residuals, C, G and variances with the row 0 = d(y) - f b pi^T m(y) behind.
-
-    Robust, and not the same on both sides: roofs and crowns stand above the ground, and most corners are on them.
+    """Residuals, C, G and variances with the row 0 = d(y) - f b pi^T m(y); asymmetric weights, because corners stand above the
+    ground.
     """
     e, C, G, noise = rows
     d, D_pi = geometry.plane_disparity(y, pi)
@@ -293,10 +285,7 @@ def _with_plane(
 
 
 def _weights(distances: Array, guided: bool) -> tuple[Array, float]:
-    """Weights (N,) of squared distances (N,), and the scale of the residuals (1: as expected).
-
-    Cauchy's; guided: those of Geman and McClure, by which far points do not count.
-    """
+    """Weights (N,) of squared distances (N,) (Cauchy; guided: Geman and McClure), and the scale of the residuals."""
     if guided:
         redescending: Array = 1.0 / (1.0 + distances / _GUIDED**2) ** 2
         return redescending, 1.0

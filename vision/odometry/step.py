@@ -1,9 +1,8 @@
-"""One step of odometry: two stereo pairs and the predicted motion -> the motion with its covariance, or why there is none.
+"""One step of odometry: two stereo pairs and the predicted motion -> the motion with its covariance, or the reason for none.
 
     pairs -> contrast normalised, rectified at half size (Frame) -> corners, tracks -> Gauss-Newton (motion) -> Step
 
-A pure function: the same two pairs and the same prediction give the same bits. The prediction is where tracks begin and what
-tells two motions apart; it is never a measurement in the solution, or the filter would fuse its own estimate again.
+A pure function. The prediction begins tracks and separates two motions; it is never a measurement in the solution.
 """
 
 from dataclasses import dataclass, field
@@ -41,9 +40,8 @@ _FLOOR: Final = np.array([0.002] * 3 + [np.radians(0.04)] * 3)  # m, rad
 
 @dataclass(frozen=True, slots=True)
 class OdometrySettings:
-    """points: corners of a key frame. disparity_sigma_px: at least, of the rig's calibration.
-
-    Of the ground: relief_m: its mean against the given height, roughness_m: points against their mean, slope_deg: its tilt.
+    """points: corners of a key frame; disparity_sigma_px: at least; relief_m: of the ground's mean against the given height,
+    roughness_m: of points against their mean, slope_deg: of the ground.
     """
 
     points: int = 140
@@ -57,7 +55,7 @@ class OdometrySettings:
 class Prediction:
     """Pose of the body at t1 in the body at t0: p (3,), q wxyz, covariance (6, 6) of (dp, theta), R = R exp(theta).
 
-    down_b: unit vector downwards in the body at t0, height_m of the body above the ground, 1-sigma; None: height not known.
+    down_b: unit vector downwards at t0, height_m above the ground, 1-sigma; None: not known.
     """
 
     p: Array
@@ -86,10 +84,10 @@ class Tracks:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """Pose of the body at t1 in the body at t0, covariance (6, 6) of (dp, theta); or reason: why the step is lost.
+    """Pose of the body at t1 in the body at t0, or reason.
 
-    covariance holds what is new in each step; systematic (6, 2) what repeats: what disparities 1 sigma too large add to it, and a
-    height 1 sigma too large. residual_scale: 1 = as expected. inliers: of the tracks.
+    covariance (6, 6) of (dp, theta), new in each step; systematic (6, 2): by disparities and a height 1 sigma too large;
+    residual_scale: 1 = as expected; inliers: of the tracks.
     """
 
     reason: str
@@ -276,10 +274,8 @@ class StereoOdometry:
 
 
 def _shared(px: Array, residuals: Array) -> float:
-    """Correlation of the residuals (N, 2) with those of the nearest points px (N, 3).
-
-    That of tracks is small. Where it is not, points share an error, such as a part of the scene that moves slowly, and what they
-    share does not become smaller with their number.
+    """Correlation of the residuals (N, 2) with those of the nearest points px (N, 3): errors that points share do not average
+    out.
     """
     apart = np.square(px[:, None, 0] - px[:, 0]) + np.square(px[:, None, 1] - px[:, 1])
     np.fill_diagonal(apart, np.inf)

@@ -1,7 +1,7 @@
-"""Tracks of corners through two stereo pairs by the pyramidal Lucas-Kanade method (Bouguet 2001), in raw images.
+"""Tracks of corners through two stereo pairs by pyramidal Lucas-Kanade (Bouguet 2001), in raw images.
 
-A point is measured as y = (u_l, v_l, u_r): rectified pixels of the left image, and the column of the same point in the right one.
-NaN: not measured. Each match must come back to where it began, and stay in its row in the other camera.
+y = (u_l, v_l, u_r): rectified pixels of the left image and the right column; NaN: not measured. Each match must return to its
+start and keep its row.
 """
 
 from typing import Final
@@ -37,9 +37,8 @@ def stereo(left: View, right: View, raw_px: Array, row: Array, guess: Array, len
 
 
 def coarse_columns(left: View, right: View, px: Array, low: Array, high: Array) -> Array:
-    """u_r (N,) of rectified left pixels px (N, 2) to about 1 px, between columns low and high (N,); NaN: nothing alike, or twice.
-
-    Normalised cross-correlation along the row, in the small images: near points lie too far off for Lucas-Kanade.
+    """u_r (N,) of rectified left pixels px (N, 2) to about 1 px, between columns low and high (N,), by correlation along the
+    row; NaN: none or two.
     """
     a, b, k_small = left.small, right.small, 1.0 / left.scale
     height, width = a.shape
@@ -64,10 +63,9 @@ def coarse_columns(left: View, right: View, px: Array, low: Array, high: Array) 
 
 
 def temporal(first: Image, second: Image, px: Array, guess: Array, H: Array) -> Array:
-    """(N, 2) pixels in the second image of first pixels px (N, 2), both raw.
+    """(N, 2) pixels in the second image of first pixels px (N, 2), both raw; guess (N, 2): expected.
 
-    H (3, 3): turns the second image to the attitude of the first (H ~ K R_01 K^-1), so that a turn about the optical axis does
-    not turn the patches against each other. guess (N, 2): expected pixels in the second image.
+    H (3, 3) ~ K R_01 K^-1 turns the second image to the attitude of the first.
     """
     turned = cv2.warpPerspective(second, H, (second.shape[1], second.shape[0]), flags=cv2.INTER_LINEAR)
     there, found = _flow(first, turned, px, _mapped(H, guess), _LEVELS)

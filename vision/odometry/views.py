@@ -1,9 +1,6 @@
-"""One camera of the rig: its image as it is tracked in, a small rectified one, and pixels from one to the other.
+"""One camera of the rig: its raw image, in which points are tracked, a small rectified one, and pixels from one to the other.
 
-    x ~ R_cc' K^-1 (u, v, 1),   (u, v)_raw = project(x)          (R_cc': rectified camera axes c' in those of the camera c)
-
-Points are tracked in the raw image, and their pixels are rectified: to rectify 140 points is cheaper than to rectify an image.
-Only the search along the rows needs an image of which the rows correspond, and a half or a quarter of the size is enough for it.
+x ~ R_cc' K^-1 (u, v, 1),   (u, v)_raw = project(x)          (R_cc': rectified camera axes c' in those of the camera c)
 """
 
 from dataclasses import dataclass

@@ -1,5 +1,4 @@
-"""Position and attitude of the vehicle from identified landmarks: observations, least squares, covariance, undetermined
-directions.
+"""Pose of the vehicle from identified landmarks: observations, least squares, covariance, undetermined directions.
 
-Begin with `pose`. May import outline, identify and what is below them.
+Begin with `pose`. May import outline, identify and the layers below them.
 """

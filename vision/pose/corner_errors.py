@@ -1,10 +1,9 @@
-"""What errors of an outline's single corners do to its edges, and through them to the pose.
+"""Effect of an outline's corner errors on its edges, and on the pose.
 
     offset = n^T (e_1 + e_2) / 2,   tilt = n^T (e_2 - e_1) / 2,   e ~ N(0, sigma^2 I)
 
-n: normal of an edge, e_1, e_2: errors of its two corners. Offset and tilt both have the variance sigma^2 / 2 and are independent.
-Edges that meet at a right angle are independent too, since they meet the same corner's error along different axes. An outline
-that is shifted or grown as a whole is not of this kind: its edges err together (MapError).
+n: normal of an edge, e_1, e_2: errors of its corners. Both have variance sigma^2 / 2 and are independent; so are edges at a right
+angle. Shift and growth of a whole outline: MapError.
 """
 
 import numpy as np
@@ -23,10 +22,9 @@ def by_corners(cornered: Array) -> Array:
 
 
 def repeating(moved: Array, landmark: NDArray[np.int64], count: int, room: int) -> Array:
-    """(L, 6, room): the largest part, as errors of variance 1, of how the edges' own errors (E, 6, c) move the pose.
+    """(L, 6, room): the largest part, as errors of variance 1, of the edges' own errors (E, 6, c) on the pose.
 
-    landmark (E,): of the edges, count of them. These errors repeat while the same edges are seen. What so few numbers cannot hold
-    counts as new in each image.
+    landmark (E,): of the edges, count of them. The rest counts as new in each image.
     """
     whole = np.zeros((count, POSE, POSE))
     np.add.at(whole, landmark, moved @ moved.transpose(0, 2, 1))

@@ -1,9 +1,8 @@
-"""What a map's own shift does to a fix: it moves every fix made with it, by the same.
+"""A shift of the whole map, common to all fixes made with it.
 
     P_map = P + C,    C = diag(s_h^2, s_h^2, s_v^2, 0, 0, 0)        (s: common_sigma_m, horizontal and vertical)
 
-In the coordinates of the map a prior knows the pose with P_map only, so outlines are searched as far as that reaches. A fix is
-the measurement in the map, and its error on Earth has C in addition.
+The prior is known with P_map in the map's coordinates; a fix' error on Earth has C in addition.
 """
 
 from dataclasses import replace

@@ -1,10 +1,9 @@
-"""Pose from points of the map whose pixels are known, each with its covariance; the prior holds what they leave open.
+"""Pose from map points at known pixels with covariances, and the prior, by robust Gauss-Newton (Lowe 1991).
 
     px_i = project(R_nc^T (X_i - p_nc)) + e_i,   e_i ~ N(0, R_i)
     dx_c = R_nc^T (-dp + [X - p]x dtheta + dX) + R_bc^T (-dt_bc + [x_b - p_bc]x dtheta_bc)
 
-Gauss-Newton with the prior (Lowe 1991), robust; the errors that all points share (georeference, height of the ground, camera on
-body, camera) are unknowns of unit variance beside the pose. What is reported is the points' alone, without the prior.
+Common errors (georeference, ground height, mounting, camera) are unknowns of unit variance. Reported without the prior.
 """
 
 from dataclasses import dataclass
@@ -27,8 +26,8 @@ _SURPRISE = 22.5  # chi-square (6) against the prior from which on the points ar
 
 
 class PointConfig(msgspec.Struct, frozen=True):
-    """gate: chi-square (2) above which a point is left out; least: points that make a pose; freedom, expected: the prior
-    of the variance factor beforehand, as in PoseConfig.
+    """gate: chi-square (2) of a point; least: points of a pose; freedom, expected: prior of the variance factor, as in
+    PoseConfig.
     """
 
     gate: float = 13.8
@@ -54,10 +53,7 @@ class Points:
 
 @dataclass(frozen=True, slots=True)
 class PointPose:
-    """estimate: the pose; its landmark_errors (1, 6, 3): how errors of the map north, east, down, of variance 1, move it.
-
-    residual (N, 2) px; used (N,): points that fit.
-    """
+    """estimate: the pose; landmark_errors (1, 6, 3): effect of map errors north, east, down; residual (N, 2) px; used (N,)."""
 
     estimate: PoseEstimate
     residual: Array

@@ -1,6 +1,6 @@
-"""Predict and verify: the map's outlines are drawn where the prior expects them, searched for, fitted and checked.
+"""Predict and verify: the map's outlines are drawn at the prior, searched for, fitted and checked.
 
     motion, edge_points -> votes -> global_search, coarse_search -> fit -> final_check, presence -> verify
 
-Begin with `predict`. May import records, pose and what is below it.
+Begin with `predict`. May import records, pose and the layers below it.
 """

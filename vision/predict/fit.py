@@ -1,12 +1,7 @@
-"""From a position that the coarse search found to a fit of the outlines: what does not belong goes, what stands there joins.
+"""From a position of the coarse search to a fit of the outlines.
 
-    fit -> final check (final_check.py) -> landmarks that are not where it says, or an image that contradicts the other, go ->
-    again each landmark that is not in the fit, from its joint pose -> found within its own map errors? -> final check -> all
-    together
-
-A first fit begins at a position that is good to a few pixels, so it may not search far; then a roof larger than mapped is lost.
-Once the others tell the pose, what is left open of that roof is its own error on the map, and the search may reach as far as that
-reaches.
+fit -> final check (final_check.py) -> landmarks or an image that contradict go -> each other landmark is searched from the
+joint pose within its own map errors -> final check -> all together
 """
 
 import math
@@ -48,10 +43,7 @@ _NO_WORSE = 1.1  # by so much may the position be less sure with more landmarks
 
 @dataclass(frozen=True, slots=True)
 class _Start:
-    """Where a fit begins: pose and map errors (L, M), landmarks fitted; asked: those of whose outline so much must agree.
-
-    views: images that are used; remark: on one that is not.
-    """
+    """Pose and map errors (L, M), landmarks fitted; asked: of whose outline so much must agree; views: images used; remark."""
 
     pose: Pose
     shift_m: Array
@@ -94,10 +86,7 @@ class Fitter:
         return max(fits, key=lambda one: one.odds, default=None)
 
     def joined(self, images: Images, marks: list[Landmark], hypothesis: Candidate, fitted: Fitted, prior: Prior) -> Fitted:
-        """The fit from that position with all landmarks seen that stand where it says; itself where it has them already.
-
-        More landmarks know the pose better; where they do not, their edges scatter more than those that were there.
-        """
+        """The fit with all landmarks seen that it places, or itself; not where the position becomes less certain."""
         views: Views = (images.left, None if fitted.remark else images.right)
         fit, shift_m = fitted.pose, hypothesis.shift_m.copy()
         shift_m[fitted.used] = fit.shift_m

@@ -2,11 +2,10 @@
 
     q = J_uv dx + e,   e ~ N(0, s^2)        (shift [px] of the outlines' middle; the map's error is one for all of them)
 
-Roofs that show no clean edge of one colour (hipped, under trees, a dozen pixels wide) give no fit edge by edge; many of them
-together still have one position (joint_score.py). All shifts, turns and scales that the prior allows are searched. A fit that is
-not at the summit, or where another summit is as high, is refused; where there is no fit, a summit that stands out is reported,
-along the directions it measures. By chance the best of M positions is r times the second one with a probability of about
-M^(-2 (r - 1)).
+Roofs without clean edges still have one position together (joint_score.py). A fit away from the summit, or with a rival as
+high, is refused; without a fit, a distinct summit is reported along the directions it measures. By chance the best of M
+positions is r times
+the second with a probability of about M^(-2 (r - 1)).
 """
 
 import math
@@ -91,8 +90,8 @@ def _only_shifts(move: Motion, config: CoarseConfig) -> bool:
 
 
 def best_shift(eye: Eye, images: Images, marks: Sequence[Landmark], move: Motion, config: CoarseConfig) -> Summit | str:
-    """The likeliest of all shifts, turns and scales that the prior allows; why not where there are too many, empty where nothing
-    of the outlines comes into the image.
+    """The likeliest shift, turn and scale that the prior allows; the reason where they are too many, empty where nothing is in
+    view.
     """
     image = images.right if images.only_right else images.left
     assert image is not None
@@ -115,10 +114,9 @@ def best_shift(eye: Eye, images: Images, marks: Sequence[Landmark], move: Motion
 
 
 def _grid(move: Motion, config: CoarseConfig) -> tuple[int, Array, Array, Array] | str:
-    """How often the image is reduced, turns and log scales (T, 2), shifts u (U,) and v (V,) [px] that are searched.
+    """Reduction of the image, turns and log scales (T, 2), shifts u (U,) and v (V,) [px] of the search, or the reason for none.
 
-    Neighbouring turns and scales differ by _STIFF_PX at the outlines' ends; the image is reduced until the roofs are narrow and
-    the work is little. Why not where the roofs would be too narrow by then.
+    Neighbours differ by _STIFF_PX at the outlines' ends; the image is reduced until roofs are narrow and the work is small.
     """
     size = 1
     while move.roof_px / size > _WIDEST_PX:

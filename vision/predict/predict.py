@@ -1,10 +1,7 @@
 """Predict and verify: the main path in flight.
 
-    prior -> outlines in view -> coarse search (coarse_search.py) -> edges along normals, Gauss-Newton (fit.py, pose.py) ->
-    verify.py
-
-No region has to be closed or whole: landmarks that the border cuts off, or that something hides in part, are used with
-their visible parts.
+prior -> outlines in view -> coarse search (coarse_search.py) -> edges along normals, Gauss-Newton (fit.py, pose.py) ->
+verify.py
 """
 
 import math
@@ -129,9 +126,8 @@ class PredictPath:
         return Result(fix, report_of(t_ns, "fixed", detail, said, fit.residual_px), tuple(said), fit)
 
     def stands_out(self, images: Images, near: Sequence[Landmark], here: PoseEstimate, steps: Array, prior: Prior) -> bool:
-        """Whether a position is decidedly likelier than those some steps (S, 3) from it, each fitted to what it has in view.
-
-        One that would not be accepted by itself is not.
+        """Whether a position is decidedly likelier than those some steps (S, 3) from it, each fitted to its own view, and
+        accepted by itself.
         """
         if len(steps) > _MOST_STEPS:
             return False
@@ -160,11 +156,7 @@ class PredictPath:
         return Search(self._eye(images), marks, move, self._config.coarse).candidates(image)
 
     def _fit(self, images: Images, marks: list[Landmark], hypothesis: Candidate, prior: Prior) -> Fitted | str:
-        """The fit from a position; small landmarks are searched once more where the large ones put them.
-
-        A prior that is off in tilt puts what is at the image's border many pixels off, farther than a small landmark is large:
-        something else would be found in its place.
-        """
+        """The fit from a position; small landmarks are searched again where the large ones put them."""
         eye, voted = self._eye(images), self._trusted(hypothesis)
         large = voted & ~small_landmarks.small(marks, eye, hypothesis.pose)
         mixed = 0 < large.sum() < voted.sum()
@@ -237,8 +229,7 @@ class PredictPath:
 
 
 def nearer_and_farther(marks: list[Landmark], hypothesis: Candidate, seen: Mask, prior: Prior) -> list[Candidate]:
-    """A position where one landmark alone is seen (L,), from other distances to the middle m of its roof, which stays where it is
-    in the image: its size alone determines the distance, and a wrong size still puts half of its sides on edges.
+    """A position with one landmark in view (L,), from other distances to the middle m of its roof, fixed in the image.
 
     p = m + exp(k s) (p - m),    k = -2, -1, 1, 2,    s: standard deviation of |p - m| by the prior, over |p - m|
     """
@@ -303,10 +294,7 @@ def _reports(eye: Eye, marks: list[Landmark], hypothesis: Candidate, trusted: Ma
 
 
 def _boxes(eye: Eye, px: Array, offsets: Indices) -> list[tuple[int, int, int, int]]:
-    """Left, top, width and height of what the image holds of each landmark, whose corners are px[offsets[k] : offsets[k + 1]].
-
-    Corners that are not before the camera do not count; without any there is nothing.
-    """
+    """Left, top, width, height of each landmark in the image, of corners px[offsets[k] : offsets[k + 1]] before the camera."""
     good, limit = np.isfinite(px).all(axis=1, keepdims=True), np.array([eye.camera.width, eye.camera.height])
     low = np.minimum.reduceat(np.where(good, px, np.inf), offsets[:-1])
     high = np.maximum.reduceat(np.where(good, px, -np.inf), offsets[:-1])

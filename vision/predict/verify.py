@@ -1,11 +1,11 @@
-"""Is a position that was found the right one? When in doubt there is no fix.
+"""Verification of a position; in doubt there is no fix.
 
     share   = sum support / sum length          of all landmarks in view, not of the chosen ones
     rival   = (score of another position) / score          where it is high, both are fitted, and their odds compared
-    agree   : |x (-) x0 now  -  x (-) x0 then|^2 < chi2,   over the covariances of both fits and what the prior has drifted since
+    agree   : |x (-) x0 now  -  x (-) x0 then|^2 < chi2,   over the covariances of both fits and the prior's drift since
 
-A position with little to be seen is held until the next image shows the same error of the prior. Where that one shows another
-error, one of the two is wrong, and even a sure one waits for a third, unless it is much likelier than the one that was held.
+A weak position waits until the next image shows the same error of the prior. Where that one shows another error, even a certain
+one waits for a third, unless it is much likelier.
 """
 
 import math
@@ -97,8 +97,8 @@ class Evidence:
 class Fitted:
     """A fit; used: indices of its landmarks; asked: of all that the final check could see; remark: on an image left out.
 
-    kept: share that agreed of the outline of those that must answer; checked: share of it found by the final check, in the worse
-    image; middles (L, 2) px: of all landmarks' roofs, from this pose; odds: ln, of this position against one of chance.
+    kept: share of the asked outline that agreed; checked: found by the final check, in the worse image; middles (L, 2) px: of all
+    roofs; odds: ln, against a position of chance.
     """
 
     pose: PoseEstimate
@@ -121,14 +121,13 @@ def flaw(evidence: Evidence, config: VerifyConfig) -> str:
 
 
 def position_odds(present: Array, gone: float, squared: float, found: float, covered: float) -> float:
-    """ln of the odds of a position against one of chance, where outlines lie on edges of something else.
+    """ln of the odds of a position against one of chance.
 
     (sum_j ln ((1 - g) LR_j + g) - d^2 / 2) / a + n (f ln (r / c) + (1 - f) ln ((1 - r) / (1 - c))) - b h
 
-    present (L,): ln LR of each landmark in view (presence.py); gone: g, share of the map that is; squared: d^2, of the pose from
-    the prior and of the landmarks from the map; found: f, share found of the outlines fitted, r at right positions and c at those
-    of chance. a: times that roofs in one light and clutter tell the same; n: pieces of outline that are found or not by
-    themselves. covered: h, share that is not asked because something covers it. Where nothing stands the bare ground does: b.
+    present (L,): ln LR of each landmark in view; gone: g; squared: d^2 of pose and landmarks from prior and map; found: f,
+    share of the outlines, r at right positions and c at chance; a: repetition of the same evidence; n: independent pieces of
+    outline; covered: h.
     """
     r, c = _FOUND_RIGHT, _FOUND_CHANCE
     there = float(np.logaddexp(math.log(1.0 - gone) + present, math.log(gone)).sum())
@@ -137,12 +136,10 @@ def position_odds(present: Array, gone: float, squared: float, found: float, cov
 
 
 def decided(tried: Sequence[Fitted | str], config: VerifyConfig) -> Fitted | str:
-    """The one fit of several positions that is left, or why none is.
+    """The one fit left of several positions, or the reason for none.
 
-    Of those that show the likeliest position and are nearly as likely it is the one that knows the position best, but no more
-    directions than the likeliest one: along a road every position is the same one, and the corner of something else at one of
-    them would choose among them. Where several lead to one fit, it has what the least of them has kept: none of them was more
-    right than the others.
+    Of fits at the likeliest position and nearly as likely the most certain one counts, with no more directions than the
+    likeliest. Where several positions lead to one fit, it has the least kept share of them.
     """
     fits = [one for one in tried if not isinstance(one, str)]
     if not fits:
@@ -176,15 +173,12 @@ def _measured(one: Fitted) -> int:
 
 
 def _decisive(other: Fitted, config: VerifyConfig) -> float:
-    """ln of the odds by which another position must be less likely: in a row of equal houses it shows one more, or one less."""
+    """ln of the odds by which another position must be less likely: one house more or less in a row of equal ones."""
     return config.decides if other.odds < config.odds else config.decides_alike
 
 
 def same_position(one: Fitted, other: Fitted, config: VerifyConfig) -> bool:
-    """Whether two fits may show one pose: |x_1 (-) x_2|^2 over both covariances is what two fits of one position have.
-
-    Few edges leave much open, by which landmarks that a fit has not come to lie many pixels apart.
-    """
+    """Whether |x_1 (-) x_2|^2 over both covariances is that of two fits of one pose."""
     a, b = one.pose, other.pose
     between = difference(a.joint_p_n, a.joint_R_nb, b.joint_p_n, so3.from_matrix(b.joint_R_nb))
     return bool(between @ np.linalg.solve(a.joint_covariance + b.joint_covariance, between) < config.agree)
@@ -233,9 +227,9 @@ class _Held:
 
 
 class Waiting:
-    """The position of the image before: a function of the requests alone, so that a replay waits as the flight did.
+    """The position of the image before, a function of the requests alone.
 
-    One image may be examined twice, by prediction and where segmentation puts it, and both observations use the image before.
+    One image may be examined twice, by prediction and by segmentation; both use the image before.
     """
 
     def __init__(self, config: VerifyConfig) -> None:
@@ -264,11 +258,10 @@ class Waiting:
         return None if self._nothing_ns is not None and self._nothing_ns < t_ns else held
 
     def doubt(self, fitted: Fitted, t_ns: int, prior: Prior, roofs_n: Array, *, weak: bool) -> str:
-        """Why the position held before does not settle this one; empty where it shows the same error of the prior.
+        """Why the position held before does not confirm this one; empty where it shows the same error of the prior.
 
-        One landmark looks in both images as it does in one, so that together they must be likelier than each of them. Two weak
-        ones confirm each other only where the lines of sight to the roofs (L, 3) have turned, by the filter's motion: a false
-        match repeats in the same view, as while hovering. Then the earlier one waits on, else this one does from now on.
+        One landmark must reach odds over both images together. Two weak positions confirm each other only where the lines of
+        sight to the roofs (L, 3) have turned: a false match recurs in the same view.
         """
         before, now = self._before(t_ns), _Held.of(fitted, t_ns, prior, sure=False)
         alone = before is not None and len(fitted.used) == 1 and before.odds + fitted.odds < self._config.both_odds

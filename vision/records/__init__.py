@@ -1,4 +1,4 @@
-"""What the way through leaves behind: the report with the reason of every refusal, the images of each stage.
+"""Records of the pipeline: the report with the reason of every rejection, images of each stage.
 
-May import pose and what is below it.
+May import pose and the layers below it.
 """

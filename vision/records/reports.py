@@ -16,10 +16,10 @@ INSIDE_9999: Final = (15.137, 18.421, 21.108, 23.513, 25.745, 27.856)  # chi-squ
 
 
 class RegionReport(msgspec.Struct, frozen=True):
-    """What became of one region (path segment), or of one landmark (path predict).
+    """Result of one region (path segment) or landmark (path predict).
 
-    state: identified, open, not_in_map, not_measured, cut_off, not_found;  landmark: what it is, or its best candidate
-    bbox: u0, v0, width, height in the rectified image (segment), in the image as it came (predict)
+    state: identified, open, not_in_map, not_measured, cut_off, not_found;  landmark: identity or best candidate
+    bbox: u0, v0, width, height in the rectified image (segment), in the raw one (predict)
     """
 
     state: str

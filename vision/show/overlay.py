@@ -1,8 +1,4 @@
-"""The map drawn into an image from an estimated pose, and how far its outlines lie from the edges that are seen there.
-
-The augmented-reality test as a number: outlines of a true map, projected from a true pose, cover the image's own edges; what is
-left between them, along the normals of the outlines, is the residual in pixels.
-"""
+"""The map drawn into an image from a pose, and the distance of its outlines from the image's edges, in px along the normals."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -38,9 +34,8 @@ _MAGNIFIED = 10.0  # residuals are drawn so much longer
 
 @dataclass(frozen=True, slots=True)
 class Residuals:
-    """Points (N, 2) on the outlines of one landmark in view, unit normals (N, 2), and where the seen edge lies along them.
-
-    offset_px: (N,), NaN where no edge is found within reach.
+    """Points (N, 2) on the outlines of one landmark, unit normals (N, 2), and offset_px (N,) of the seen edge, NaN: none in
+    reach.
     """
 
     id: str
@@ -63,10 +58,7 @@ class Residuals:
 def outline_residuals(
     image: Canvas, camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[Landmark], reach_px: float = _REACH_PX
 ) -> list[Residuals]:
-    """Residuals of the roof outlines of those landmarks that are in view, in an image (H, W) or (H, W, 3).
-
-    Edges are searched for as far as reach_px from the outline: further than the pose may be wrong, and no further.
-    """
+    """Residuals of the roof outlines in view, in an image (H, W) or (H, W, 3), within reach_px."""
     landmarks = in_view(camera, p_nc, R_nc, landmarks)
     edges = _edges(camera, p_nc, R_nc, landmarks)
     along = np.gradient(edges.px, axis=1) if len(edges.px) else edges.px
@@ -85,9 +77,8 @@ def outline_residuals(
 
 
 def _edge_offsets(image: Canvas, px: Array, normal: Array, reach_px: float) -> Array:
-    """Where along the normals (N, 2) the image changes most, px from the points (N, 2); NaN where it hardly changes.
-
-    The slope is that of all channels together, averaged over three neighbours along the edge; a parabola gives its summit.
+    """Distance [px] along the normals (N, 2) to the steepest change of all channels, to a parabola's summit; NaN where there is
+    none.
     """
     s = np.arange(-reach_px, reach_px + _STEP_PX, _STEP_PX)
     beside = normal[:, ::-1] * np.array([1.0, -1.0])
@@ -113,11 +104,11 @@ def _edge_offsets(image: Canvas, px: Array, normal: Array, reach_px: float) -> A
 
 
 def expected_px(camera: CameraModel, p_n: Array, p_nc: Array, R_nc: Array, covariance: Array, landmark: Landmark) -> float:
-    """sigma of a residual along any normal, from what is not known of pose and landmark; NaN where its roof is hidden.
+    """sigma of a residual along any normal, by pose and landmark; NaN where its roof is hidden.
 
         du = J R_nc^T (-dp + [X - p_n]x dtheta + dX),   sigma^2 = tr(cov(du)) / 2
 
-    covariance: (6, 6) of p_n and of the body's rotation about the axes of n; X: middle of the roof; J: of the projection.
+    covariance: (6, 6) of p_n and rotation about the axes of n; X: middle of the roof; J: of the projection.
     """
     lever = np.array([*landmark.centre_n, landmark.roof_d]) - p_n
     jacobian = camera.project_jacobian(((p_n + lever - p_nc) @ R_nc)[None])[0] @ R_nc.T
@@ -139,8 +130,7 @@ def draw_overlay(
 ) -> Canvas:
     """A copy (H, W, 3) of the image with the landmarks' visible edges and names; identified ones (by id) stand out.
 
-    Landmarks whose roofs are not below the camera are left out. residuals are drawn as strokes ten times their length, their
-    spread beside the name; caption: lines at the lower left.
+    residuals: strokes ten times their length, spread beside the name; caption: lines at the lower left.
     """
     canvas: Canvas = np.array(image if image.ndim == 3 else np.repeat(image[:, :, None], 3, axis=2), order="C")
     scale = max(1.0, min(canvas.shape[:2]) / 480.0)
@@ -285,9 +275,7 @@ def _draw_caption(canvas: Canvas, caption: Sequence[str], scale: float) -> list[
 def _draw_name(
     canvas: Canvas, text: str, lines: list[tuple[Kind, Array]], colour: Bgr, scale: float, taken: list[tuple[int, int, int, int]]
 ) -> None:
-    """At the middle of the roof as far as it is in view, beside it where the name would hide it, else above or under it; left out
-    where there is no room.
-    """
+    """At the middle of the visible roof, or beside, above, under it; left out without room."""
     roof = [px for kind, px in lines if kind == Kind.ROOF]
     if not roof:
         return

@@ -1,9 +1,8 @@
-"""The ground: level, textured from centimetres to hundreds of metres, or an image.
+"""The ground: level, textured, or an image.
 
     colour(n, e) = tint * cover(n, e) (1 + contrast * detail(n, e))
 
-`cover` holds fields, paths and bushes in colour (0.2 m a texel), `detail` grass, soil and stones in grey (1.5 cm a texel). Both
-repeat, with periods of 205 m and 31 m that have nothing to do with each other; each world turns and shifts them.
+`cover`: fields, paths, bushes (0.2 m a texel, period 205 m), `detail`: grass, soil, stones (1.5 cm, 31 m).
 """
 
 import math
@@ -41,9 +40,8 @@ _BUSH = np.array([34.0, 62.0, 46.0])
 
 @dataclass(frozen=True)
 class Ground:
-    """A level ground at down = `down_m`, and how the textures lie on it.
-
-    turn_rad, shift_m: of the textures against north and east; tint_bgr: factors; detail_contrast: relative, per unit of `detail`.
+    """A level ground at down = `down_m`; turn_rad, shift_m: of the textures; tint_bgr: factors; detail_contrast: per unit of
+    `detail`.
     """
 
     cover: Grid = field(repr=False)

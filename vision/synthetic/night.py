@@ -1,7 +1,6 @@
-"""The same world by night, as a thermal camera sees it: light is warmth, nothing casts a shadow, colours mean nothing.
+"""The same world by night for a thermal camera: warmth, no shadows, no colours.
 
-Under a clear sky roofs of metal and tiles cool below the ground, those of heated houses stay above it: nobody knows beforehand
-which. Walls and trees are a little warmer than the ground, cars are cold or have just been driven.
+Roofs are colder (metal, tiles) or warmer (heated) than the ground; walls and trees a little warmer, cars cold or just driven.
 """
 
 from dataclasses import replace

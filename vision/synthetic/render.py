@@ -1,8 +1,4 @@
-"""Images of a World: render, render_pair; and which solid each pixel shows.
-
-Ground and faces are looked up along each pixel's ray, found once a camera by undoing the lens; edges go the other way, through
-CameraModel.project, in pieces short enough for the lens to bend. The same seed gives the same bytes on the same machine.
-"""
+"""Images of a World: render, render_pair, and the solid of each pixel; the same seed gives the same bytes on one machine."""
 
 import math
 from dataclasses import dataclass

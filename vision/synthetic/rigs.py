@@ -21,10 +21,8 @@ def make_rig(
     distortion: tuple[float, ...] = (-0.08, 0.03, 0.0004, -0.0003),
     exact: bool = False,
 ) -> StereoRig:
-    """A rig that looks down (pitch -90 degrees) or ahead of it, its right camera turned a little as real ones are.
-
-    Not exact: with covariances of a careful calibration (0.4 px in f and c, 0.2 mm and 0.02 degrees between the cameras, 5 mm
-    and 0.1 degrees on the body).
+    """A rig that looks down (pitch -90 degrees) or ahead, with covariances of a careful calibration (0.4 px in f and c, 0.2 mm
+    and 0.02 degrees between the cameras, 5 mm and 0.1 degrees on the body).
     """
     camera_sigma = np.array([0.4, 0.4, 0.4, 0.4, *[1e-3, 2e-3, 1e-4, 1e-4, 2e-3][: len(distortion)]])
     covariance = None if exact else np.diag(camera_sigma**2)

@@ -1,9 +1,9 @@
-"""Worlds from a seed: what truly stands there, the map somebody made of it, the rig as it is and as it was calibrated.
+"""Worlds from a seed: the truth, the map of it, the rig as it is and as it was calibrated.
 
     make_world(seed, spec) -> Scene(world, map, rig, rig_calibrated)
 
-The map is drawn first and the truth around it: each landmark is shifted by N(0, sigma_m) in north and east, its outline grown by
-N(0, outline_sigma_m), its roof raised by N(0, height_sigma_m). Errors are drawn once a world, as they are in life.
+Each landmark is shifted by N(0, sigma_m) in north and east, its outline grown by N(0, outline_sigma_m), its roof raised by
+N(0, height_sigma_m), once a world.
 """
 
 import math
@@ -30,12 +30,10 @@ _GAP_M = 3.0  # between any two things
 
 @dataclass(frozen=True)
 class WorldSpec:
-    """What kind of world.
-
-    area_m: side of the square around the origin; spacing_m: between buildings; painted: share of landmarks in strong colours, the
-    others are pale and textured; flat: share painted on the ground; unmapped: share of buildings that no map has; gone: share of
-    the map that no longer stands; clear_m: nothing stands so near the origin. cars, trees, patches: per hectare. The sigmas are
-    written into the map, and the truth is drawn from them. Look-alikes: one outline and colour, +-10 % in size, 25 m apart.
+    """area_m: side of the square; spacing_m: between buildings; painted: share in strong colours; flat: share on the ground;
+    unmapped: share of buildings not in the map; gone: share of the map without building; clear_m: free radius; cars, trees,
+    patches: per hectare.
+    Layout "lookalikes": one outline and colour, +-10 % in size, 25 m apart.
     """
 
     layout: Layout = "village"

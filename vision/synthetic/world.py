@@ -1,8 +1,4 @@
-"""What there is to be seen: upright prisms on a level ground, under one sun.
-
-A Solid is a landmark's body or clutter (a house that is in no map, a car, a tree, a patch of paint). The renderer wants them
-as columns, which a World makes once.
-"""
+"""Upright prisms on a level ground, under one sun; a Solid is a landmark's body or clutter."""
 
 import math
 from dataclasses import dataclass, field
@@ -22,9 +18,8 @@ Bgr = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Appearance:
-    """Colours in sunlight (0..255) and the roof's texture, one of texture.SURFACES.
-
-    contrast: relative, per unit of texture; ridge: one half of the roof is lighter by this share, the other darker (gables).
+    """Colours in sunlight (0..255) and the roof's texture (texture.SURFACES); contrast: per unit of texture; ridge: share by
+    which one half of the roof is lighter (gables).
     """
 
     roof_bgr: Bgr
@@ -86,9 +81,8 @@ class Columns:
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """True landmarks, how they look, clutter, ground and sun. The label of a landmark in an image is its index, clutter follows.
-
-    landmarks: as they truly are (their ids are the map's); appearances: one each.
+    """True landmarks (ids are the map's), one appearance each, clutter, ground and sun; a label is the landmark's index,
+    clutter follows.
     """
 
     landmarks: tuple[Landmark, ...]
