@@ -1,10 +1,11 @@
 """What the site has beyond docs/*.md: the README as its first page, the commands' own help, the keys of
-the configuration, and the docstrings. A hook of mkdocs.
+the configuration, the measured tables, and the docstrings. A hook of mkdocs.
 
 Formulas become MathML, which browsers draw by themselves.
 """
 
 import ast
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ from mkdocs.structure.files import File, Files
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("estimator", "vision", "models", "calib", "logs")
 _FETCHED = re.compile(r'<(?:script|img|iframe)\b[^>]* src="?(https?:[^" >]+)')
+RESULTS = ROOT / "benchmarks" / "results"
+_RESULT = re.compile(r"\]\(\.\./benchmarks/results/(\w+)\.json\)")
 _LINK = re.compile(r"(!?\[[^\]]*\])\(([^)\s]+)\)")
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
 
@@ -28,6 +31,7 @@ def on_files(files: Files, config: Any) -> Files:
         "changelog.md": _of_root((ROOT / "CHANGELOG.md").read_text(encoding="utf-8")),
         "reference/commands.md": commands(),
         "reference/configuration.md": configuration(),
+        **{f"evidence/{path.stem}.md": evidence(path) for path in sorted(RESULTS.glob("*.json")) if _tables(path)},
         "reference/landfix.md": public(),
         **{f"reference/{package}.md": modules(package) for package in PACKAGES},
     }
@@ -37,7 +41,8 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Links to files of the repository that are no pages become their names."""
+    """Links to measured tables lead to their pages; those to other files of the repository become names."""
+    markdown = _RESULT.sub(lambda m: f"](evidence/{m[1]}.md)" if _tables(RESULTS / f"{m[1]}.json") else m[0], markdown)
     return _LINK.sub(lambda m: m[1][1:-1] if m[2].startswith("../") else m[0], markdown)
 
 
@@ -83,6 +88,23 @@ def configuration() -> str:
 
     keys = CliRunner().invoke(app, ["doctor", "--config"]).stdout
     return f"# Configuration\n*For whoever writes a configuration file.*\n\n```toml\n{keys}```\n"
+
+
+def evidence(path: Path) -> str:
+    """The tables and notes of a results file."""
+    parts = [f"# Measured: {path.stem}", f"*Data of `benchmarks/results/{path.name}`, for whoever checks a number.*"]
+    for table in _tables(path):
+        rows = [table["columns"], ["---"] * len(table["columns"]), *table["rows"]]
+        parts += [f"## {table['section']}", *filter(None, (table.get("command") and f"`{table['command']}`", table.get("note")))]
+        parts += ["\n".join("| " + " | ".join(str(cell).replace("|", "\\|") for cell in row) + " |" for row in rows)]
+    notes = json.loads(path.read_text(encoding="utf-8")).get("notes", [])
+    parts += ["## Notes", *(f"- *{note['section']}*: {note['text']}" for note in notes)] if notes else []
+    return _LINK.sub(lambda m: m[1].lstrip("!")[1:-1], "\n\n".join(parts)) + "\n"
+
+
+def _tables(path: Path) -> list[dict[str, Any]]:
+    found = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    return [table for table in found.get("tables", []) if table["columns"]]
 
 
 def modules(package: str) -> str:

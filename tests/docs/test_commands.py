@@ -75,7 +75,7 @@ def blocks(page: Path, language: str) -> list[str]:
 
 def lines(text: str) -> Iterator[str]:
     """Commands without their comments."""
-    for line in text.splitlines():
+    for line in text.replace("\\\n", " ").splitlines():
         command = re.sub(r"\s+#\s.*$", "", line).strip()
         if command and not command.startswith("#"):
             yield command
