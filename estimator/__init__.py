@@ -1,10 +1,8 @@
-"""The estimator: an error-state Kalman filter that keeps a consistent estimate while absolute fixes are rare, late or missing.
+"""The estimator: an error-state Kalman filter for absolute fixes that are rare, late or missing.
 
-    fusion.Fusion.handle(message) -> outputs        the sans-I/O heart; daemon, replay, simulation and tests drive the same call
+    fusion.Fusion.handle(message) -> outputs        one call for daemon, replay, simulation and tests
 
-Below `fusion` there is no I/O, no clock and no thread. Around it are `frontend`, `service`, `config`, `replay`,
-`tools` and `commands`.
-May import logs, calib, vision and models.
+Below `fusion` there is no I/O, no clock and no thread. May import logs, calib, vision and models.
 """
 
 import os

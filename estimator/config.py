@@ -1,7 +1,4 @@
-"""The configuration of the whole program: TOML sections -> the parameter structs of the parts, composed here and nowhere else.
-
-Every section is the struct of the part it configures; `landfix doctor --config` prints all keys with default, unit and meaning.
-"""
+"""The configuration: TOML sections -> the parameter structs of the parts (`landfix doctor --config` prints all keys)."""
 
 import re
 from pathlib import Path
@@ -221,10 +218,7 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 def load(path: Path | None) -> Config:
-    """The configuration of a file, its origin that of the landmarks where it gives none; None: all defaults.
-
-    Raises ConfigError, one line that names the file and the key.
-    """
+    """The configuration of a file, with the landmarks' origin where it has none; None: defaults. Raises ConfigError."""
     return with_origin(read(path), path.parent) if path else Config()
 
 

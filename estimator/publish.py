@@ -38,10 +38,7 @@ class OutputConfig(msgspec.Struct, frozen=True):
 
 
 class Pace:
-    """Thins a stream to one message per period: due() is true for the first stamp in each period of 1/rate_hz (0: always).
-
-    Periods are counted from t_ns = 0, so what is due depends on the stamps alone, not on when the stream began.
-    """
+    """Thins a stream: due() is true for the first stamp in each period of 1/rate_hz, counted from t_ns = 0 (0: always)."""
 
     def __init__(self, rate_hz: float) -> None:
         self._period_ns = round(1e9 / rate_hz) if rate_hz > 0 else 0

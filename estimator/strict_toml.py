@@ -1,8 +1,7 @@
-"""TOML <-> parameter structs, strictly: nothing unknown, nothing of the wrong type or range, nothing infinite passes.
+"""TOML <-> parameter structs, strictly: nothing unknown, of a wrong type or range, or infinite passes.
 
-A parameter struct is a frozen msgspec.Struct whose fields carry range and meaning, `Annotated[float, msgspec.Meta(gt=0,
-description="m/s: what it means")]`; the unit stands before the colon, or is the suffix of the name (`history_s`). Reading,
-writing and the table of all keys are derived from that, so nothing about a key is written twice.
+A struct is a frozen msgspec.Struct with fields `Annotated[float, msgspec.Meta(gt=0, description="m/s: what it means")]`; the unit
+stands before the colon, or is the suffix of the name (`history_s`).
 """
 
 import difflib

@@ -1,4 +1,4 @@
-"""Benchmarks that a user runs himself: what the vehicle's eyes recognise, with what others would.
+"""Benchmarks for users: recognition of landmarks, compared with other methods.
 
-May import estimator.frontend and what is below it, logs, vision and models.
+May import estimator.frontend and the layers below it, logs, vision and models.
 """

@@ -51,10 +51,7 @@ def shares(world: World, rig: StereoRig, p_n: Array, R_nb: Array) -> dict[str, f
 
 
 def hide(world: World, rig: StereoRig, p_n: Array, R_nb: Array, rng: np.random.Generator) -> World:
-    """The world with a tower before every roof in the image that stands far enough to its side for one to hide it.
-
-    A tower of height t at s of the way from the point below the camera to the roof hides it where s = (H - t) / (H - h).
-    """
+    """World with a tower before every roof in the image that one can hide: height t at s of the way, s = (H - t) / (H - h)."""
     p_nc, _ = rig.camera_pose(p_n, R_nb)
     taken = [(*s.outline_n.mean(axis=0), _radius(s.outline_n)) for s in world.solids if s.height_m > 0.0]
     towers = []

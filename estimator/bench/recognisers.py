@@ -1,8 +1,7 @@
-"""Three who are asked for a landmark in a pair of images: landfix, the thesis' method alone, SIFT + FLANN.
+"""Three methods for a landmark in a pair of images: landfix, the thesis' alone, SIFT + FLANN; recognised, wrong or silent.
 
-Each answers recognised, wrong or silent. Recognised: the landmark asked for is named and the position that follows agrees with
-the truth. Wrong: something is named that is another thing or not there, or the position contradicts the truth. Who is silent is
-asked again with the next pair.
+Recognised: named, with a position that agrees with the truth. Wrong: something else is named, or the position contradicts.
+Silent: asked again with the next pair.
 """
 
 import itertools
@@ -42,10 +41,7 @@ _ROOF_PX: Final = 3  # around a roof within which its key points lie
 
 
 class Answer(msgspec.Struct, frozen=True):
-    """What came out: cpu_ms of the processor for the first pair, where it was timed; error_m of the position, if any; note: why.
-
-    pair: which pair it came from, from 1.
-    """
+    """cpu_ms: for the first pair, where timed; error_m: of the position, if any; note: why; pair: from 1."""
 
     verdict: Verdict
     cpu_ms: float | None
@@ -68,10 +64,7 @@ def until_heard(method: Method, sample: Sample, timed: bool, pairs: int) -> Answ
 
 
 def landfix(sample: Sample, config: PipelineConfig | None = None, timed: bool = True, pairs: int = 2) -> Answer:
-    """Our pipeline, from nothing but rig, map and prior; pairs are half a second apart, and it remembers the one before.
-
-    cpu_ms: what is built once a flight is not timed.
-    """
+    """Our pipeline from rig, map and prior, with memory of the pair half a second before; cpu_ms: without set-up."""
     pipeline, again = (LandmarkPipeline(sample.scene.rig_calibrated, sample.scene.map, config) for _ in range(2))
     stamps = itertools.count(0, _NEXT_NS)
 
@@ -163,8 +156,7 @@ def sift_points(image: Image) -> Looked:
 def sift_and_flann(sample: Sample, looked: Looked, surroundings: bool) -> Answer:
     """The left image against the landmark's reference: ratio 0.75, homography by RANSAC at 3 px, at least 10 inliers.
 
-    From the key points on the roof alone or with those around it, which find the place rather than the landmark. The reference's
-    own are found beforehand. Without a reference there is nothing to search for.
+    From the key points on the roof alone, or with those around it; none without a reference.
     """
     if sample.reference is None:
         return Answer("silent", None, None, "no image of the landmark")

@@ -1,4 +1,4 @@
-"""The thesis' four experiments (its chapter 6), on hundreds of samples instead of five, and what each method made of them.
+"""The thesis' four experiments (chapter 6) on hundreds of samples.
 
 share wrong < p95:  sum_{i <= k} C(n, i) p95^i (1 - p95)^(n - i) = 0.05        (Clopper & Pearson 1934; 0 of 200: 1.5 %)
 """
@@ -81,9 +81,8 @@ def run(
     jobs: int = 0,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Recognition:
-    """`samples` of every experiment and kind of roof, each of `pairs` pairs for who is silent so long.
-
-    jobs: processes, 0 for all cores; the result does not depend on them.
+    """`samples` of every experiment and kind of roof, of up to `pairs` pairs; jobs: processes, 0: all cores, without effect on
+    the result.
     """
     wanted = [(e, r, seed, k, pairs) for e in experiments for r in roofs for k in range(samples)]
     trials: list[Trial] = []

@@ -1,9 +1,6 @@
-"""Samples for the thesis' four experiments: a world, map and rig with errors, a pair of images, a landmark asked for.
+"""Samples for the thesis' four experiments: world, map and rig with errors, a pair of images, the landmark in question.
 
-    draw(experiment, roof, seed, number) -> Sample
-
-The truth is drawn about map, rig and prior, within the covariances that a recogniser gets. Everything
-follows from (seed, experiment, roof, number), whatever the order in which samples are drawn.
+draw(experiment, roof, seed, number) -> Sample         from these four alone
 """
 
 import math
@@ -62,10 +59,8 @@ class Reference:
 
 @dataclass(frozen=True)
 class Sample:
-    """One pair. scene: the truth, and the map and rig with their errors; target: the landmark asked for; seen: share of its roof
-    in view.
-
-    numbers: of which everything is drawn, another one for each next pair.
+    """scene: truth, map and rig with errors; target: the landmark in question; seen: visible share of its roof; numbers: of the
+    draw.
     """
 
     numbers: tuple[int, ...]

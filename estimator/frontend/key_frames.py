@@ -1,10 +1,8 @@
-"""Which pairs visual odometry compares, and the motion that the estimates predict between them.
+"""The pairs that visual odometry compares, and the predicted motion between them, integrated from velocity and rate.
 
     pairs -> KeyFrames -> OdometryRequest (with the motion of Track) -> odometry.OdometryProcessor -> OdometryDelta or a report
 
-The key frame of a step is the later pair of the step before, answered or not: increments never overlap, and a lost step is the
-IMU's. The prediction is integrated from velocity and angular rate, so that a fix between the two pairs, which moves the position,
-is no motion.
+The key frame of a step is the later pair of the step before, answered or not: increments never overlap.
 """
 
 from typing import Annotated, Final, TypeAlias

@@ -81,9 +81,8 @@ class Processor:
         return [*encode(report), *([encode_input(result.fix)] if result.fix else []), *news]
 
     def draw(self, mode: str) -> Encoded | None:
-        """The image looked at last with the map drawn in from the estimate; None where there is none. Never raises.
-
-        Residuals are those of the landmarks identified so far.
+        """The last image with the map drawn in from the estimate, residuals of the landmarks identified so far; or None. Never
+        raises.
         """
         if self._last is None or self._began_ns is None:
             return None

@@ -1,8 +1,5 @@
-"""What a replay from images does for landmarks and for odometry alike: repeat the requests in a log, or make its own.
-
-Of a flight in which the front-end worked the log holds each request: it is repeated, and its answer stands where the flight's
-stood, bit for bit the same. A log without requests gets its own, from the estimate of the replay, and answers
-replay_latency_ms later.
+"""A replay from images, for landmarks and odometry alike: logged requests are repeated, bit for bit; a log without them gets
+its own, from the replay's estimate, with answers replay_latency_ms later.
 """
 
 from abc import ABC, abstractmethod
@@ -29,9 +26,8 @@ class Asked(NamedTuple):
 
 
 class Repeat(ABC):
-    """Puts answers among the records of a log. topics: of left and right images; request_topic: of what is repeated.
-
-    counts: of requests and answers, as text for the screen.
+    """Puts answers among the records of a log; topics: of left and right images; request_topic: repeated; counts: text for the
+    screen.
     """
 
     counts: object

@@ -1,9 +1,8 @@
-"""From images to requests: pairs are put together, and the prior is taken from the estimate at their exposure.
+"""From images to requests: pairs, with the estimate at their exposure as prior.
 
     images -> Pairing -> VisionRequest (with the prior of Track) -> processor.Processor -> LandmarkFix, VisionReport
 
-All of it is bytes on the wire and values: the daemon runs Processor in a process of its own, a replay in its own thread, and both
-get the same answers, because the request is in the log.
+The request is in the log, so daemon and replay get the same answers.
 """
 
 from collections import deque
@@ -71,10 +70,7 @@ class Pair(NamedTuple):
 
 
 class Pairing:
-    """Puts images together by their stamps. One that waits in vain goes alone; at most most_hz go on.
-
-    alone: images of one camera only are subscribed to, and none of them waits.
-    """
+    """Pairs images by their stamps, at most most_hz; one without a partner goes alone after a while, at once where `alone`."""
 
     def __init__(self, config: VisionConfig, alone: bool = False) -> None:
         self._alone = alone

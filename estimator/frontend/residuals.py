@@ -1,8 +1,6 @@
-"""The augmented-reality test of a flight: the map projected from the estimate, next to the edges that the images show.
+"""The augmented-reality test of a flight: the map projected from the estimate against the edges of the images.
 
-An image's residual is the median over its landmarks of their spread (vision/show/overlay.py, Residuals.spread_px): how far edges
-lie from the drawn outlines, along the normals, as one standard deviation. What the estimate's own covariance and the map's let
-one expect is reported with it.
+An image's residual is the median over its landmarks of their spread (Residuals.spread_px), beside the expected one.
 """
 
 from collections import defaultdict
@@ -27,9 +25,8 @@ _LEAST_FOUND, _LEAST_POINTS = 0.5, 8  # a landmark is seen if so many points of 
 
 
 class View(NamedTuple):
-    """The estimate at an exposure t_ns: p_n (3,), R_nb (3, 3), covariance (6, 6) of both about the axes of n; what it rests on.
-
-    identified: landmarks of the fix that vision made of the image.
+    """The estimate at an exposure t_ns: p_n (3,), R_nb (3, 3), covariance (6, 6) about the axes of n; identified: landmarks of
+    its fix.
     """
 
     t_ns: int
@@ -146,9 +143,8 @@ class Overlay:
         measured: Collection[str] | None = None,
         draw: bool = True,
     ) -> Frame:
-        """The image with the map drawn in from the view; as it is unless it is to be drawn.
-
-        measured: ids of the landmarks that are measured; None: all in view.
+        """The image, with the map drawn in where asked for; measured: ids of the landmarks that are measured, None: all in
+        view.
         """
         canvas = np.asarray(to_8_bit(image), np.uint8)
         place = self._rig.right_camera_pose if self._right else self._rig.camera_pose

@@ -1,9 +1,4 @@
-"""Processes that work for this one.
-
-They are spawned, for forks of a process with threads (OpenCV's, a progress bar's) hang. Ctrl-C goes to all processes of a
-terminal at once, but is meant for the one that the person has started; the others end with it. They are born with SIGINT blocked,
-so that not even one that is still importing answers with a traceback.
-"""
+"""Worker processes, spawned (forks of a process with threads hang), born with SIGINT blocked: Ctrl-C is for the parent."""
 
 import signal
 import threading
@@ -16,10 +11,8 @@ from multiprocessing.context import SpawnContext, SpawnProcess
 
 class _Worker(SpawnProcess):
     def start(self) -> None:
-        """It has the signal mask of the thread that starts it. A tracker started between would unblock SIGINT: that first.
-
-        Ctrl-C may reach another thread meanwhile, and Python would interrupt this one: it waits until the process is known, or
-        nobody would end it.
+        """Start with the parent thread's signal mask; the resource tracker comes first, and Ctrl-C waits until the process is
+        known.
         """
         self.daemon = True  # terminated with this process
         resource_tracker.ensure_running()

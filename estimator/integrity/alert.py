@@ -1,10 +1,10 @@
-"""May the estimate be used? Protection levels against alert limits, with hysteresis.
+"""The state of use: protection levels against alert limits, with hysteresis.
 
     usable       HPL, VPL at risk_per_hour within hal_m, val_m
     caution      not that, but at a hundred times the risk
     do not use   neither, or there is no estimate
 
-A worse state holds at once. A better one holds when it, with limits of nine tenths, has lasted for 2 s.
+A worse state holds at once, a better one after 2 s within nine tenths of the limits.
 """
 
 from typing import Final, NamedTuple

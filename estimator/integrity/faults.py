@@ -1,17 +1,14 @@
-"""What may be wrong with what is published now, how probably, and how far off it is then: the fault modes of protection.py.
+"""The fault modes of protection.py: what may be wrong now, its probability, offset and sigma.
 
     nominal                  sigma of the leading hypothesis
-    a hypothesis             p = exp(w_k) / sum exp(w_j);  offset |x_k - x|, sigma of P_k: what the filter has not decided
+    a hypothesis             p = exp(w_k) / sum exp(w_j);  offset |x_k - x|, sigma of P_k
     a source wrong for long  the solution without it: the hypothesis without GNSS, and each newest position of another source
     map, rig, timing, IMU    an offset from the configuration
-    a false fix in the gate  offset 4 sigma: what one fix that passes the gate can move
+    a false fix in the gate  offset 4 sigma
 
-A rate r becomes the probability r correlation_s / 3600, one event a fault. Solution separation d shows a fault as well as it
-bounds it, so Bayes' rule with the likelihood of d without a fault, exp(-t^2 / 2), raises that to
+A rate r has the probability r correlation_s / 3600, raised by a separation d to (Bayes; ARAIM has a threshold)
 
     p' = p / (p + exp(-t^2 / 2)),   t^2 = d_h^2 / sigma_h^2 + d_v^2 / sigma_v^2
-
-(ARAIM declares a fault where d exceeds a threshold; this is the same without one.)
 """
 
 import math

@@ -1,7 +1,4 @@
-"""Protection levels and alert of what is published; reads the tracker, changes nothing of it.
-
-Five times in `time_to_alert_s` where there is an alert limit, else once in twice that time: they cost as much as 20 IMU samples.
-"""
+"""Protection levels and alert, five times in `time_to_alert_s` with an alert limit, else once in twice that time."""
 
 import math
 from collections.abc import Callable, Sequence

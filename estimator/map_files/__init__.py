@@ -1,4 +1,4 @@
-"""Maps and their images on disk: GeoJSON of landmarks, orthophotos, rasters of heights.
+"""Maps and their images on disk: GeoJSON, orthophotos, rasters of heights. Begin with `store` and `image`.
 
-Begin with `store` (landmarks) and `image` (the map's image). May import estimator.strict_toml, vision and models.
+May import estimator.strict_toml, vision and models.
 """

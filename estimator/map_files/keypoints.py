@@ -1,9 +1,4 @@
-"""Keypoints of a map's image, kept beside it on disk: NAME.keypoints.npz.
-
-They are found in a second for each million pixels, and read in a fraction of that. The file counts for one content of the image
-and one way to find them, which its key names; any other file, or one that is damaged, is made anew. Where the folder cannot be
-written nothing is kept.
-"""
+"""Keypoints of a map's image, kept beside it as NAME.keypoints.npz for one content and method; made anew otherwise."""
 
 import hashlib
 import os

@@ -50,8 +50,8 @@ class Orthophoto(NamedTuple):
 
 
 def load(path: Path, epsg: int = 0, *, grey: bool = False) -> Orthophoto:
-    """The image of a file; epsg: its system, where the file holds none; grey: decoded without its colours, which would take
-    three times the memory. Raises MapError, one line.
+    """The image of a file; epsg: where the file holds none; grey: decoded without colours (a third of the memory). Raises
+    MapError.
     """
     with refusing(MapError, path, OSError):
         image = _decode(path, cv2.IMREAD_ANYDEPTH | (cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR))

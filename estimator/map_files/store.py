@@ -22,10 +22,7 @@ def load(path: Path, defaults: Defaults | None = None) -> LandmarkMap:
 
 
 def origin(path: Path) -> Vec3:
-    """Where the frame of the map in a file lies: from its head where it is there, without reading a million landmarks.
-
-    Raises as load does.
-    """
+    """Origin of a map file, from its head where it is there. Raises as load does."""
     with path.open("rb") as file, refusing(MapError, path):
         own = geojson.origin_of(file.read(_HEAD))
     return own or load(path).origin

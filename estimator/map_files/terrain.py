@@ -1,9 +1,8 @@
-"""Height of the ground from a height model: SRTM tiles (.hgt), Copernicus or other GeoTIFF, one file or a folder of tiles.
+"""Height of the ground from SRTM tiles (.hgt) or GeoTIFF, one file or a folder; surface models.
 
     h_ellipsoid(lat, lon) = bilinear(tile) + N(lat, lon)          N: geoid, where the model's heights are above the sea
 
-SRTM: big-endian int16, n x n points of a degree from its north-west corner, the file named after its south-west corner (SRTM
-user guide, USGS). Both are surface models: where trees or roofs fill a cell, the height is theirs.
+SRTM: big-endian int16, n x n points of a degree from its north-west corner, named after its south-west corner (USGS).
 """
 
 import math

@@ -1,4 +1,5 @@
-"""A log through the estimator, and logs made by the simulator: the same `Fusion.handle` as in flight, and the same bits.
+"""A log through the same `Fusion.handle` as in flight, to the same bits, and logs by the simulator. Begin with `replay` and
+`simulate`.
 
-Begin with `replay` and `simulate`. May import estimator.frontend and what is below it, logs, calib, vision and models.
+May import estimator.frontend and the layers below it, logs, calib, vision and models.
 """

@@ -1,8 +1,6 @@
-"""The images of a simulated flight: rendered along the true trajectory, each pair or image on its own, on all cores.
+"""The images of a simulated flight, rendered along the truth on all cores, each pair with random numbers of its own.
 
-    pose at exposure:  p + v dt,  R exp(omega dt)         from the truth's last IMU sample before it
-
-Every pair has random numbers of its own, so the bytes do not depend on how many processes draw.
+pose at exposure:  p + v dt,  R exp(omega dt)         from the truth's last IMU sample before it
 """
 
 import math

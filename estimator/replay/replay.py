@@ -1,8 +1,7 @@
-"""A log through the estimator: what a flight with this configuration would have published, to the same bits.
+"""A log through the estimator, to the bits of a flight with this configuration.
 
-The output holds the input's messages byte for byte (its own earlier /landfix outputs left out) and behind each the outputs
-it caused, at the log time of its arrival. Nothing in it depends on when, where or how often the replay ran, so replaying
-an output gives the same file again.
+The output holds the input's messages byte for byte, without its earlier outputs, and behind each the outputs it caused;
+replaying an output gives the same file.
 """
 
 import time
@@ -75,10 +74,10 @@ def replay(
     *,
     odometry: bool = True,
 ) -> ReplaySummary:
-    """Replay the log `source` (or its parts, or their folder) into `out`; progress: gets the fraction done. Raises LogError.
+    """Replay the log `source` (parts, or their folder) into `out`; progress: fraction done. Raises LogError.
 
-    sight: processes the images of the log again; None: the fixes in it are taken. attachments: files that the configuration
-    names (publish.file_attachment), instead of the log's own of that kind; odometry: whether the estimator is given any.
+    sight: processes the images again, None: the log's fixes; attachments: the configuration's files instead of the log's;
+    odometry: whether it is used.
     """
     parts = files_of(source)
     if out.exists() and any(part.exists() and out.samefile(part) for part in parts):

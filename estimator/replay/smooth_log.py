@@ -51,10 +51,10 @@ class SmoothSummary(msgspec.Struct, frozen=True):
 def write_smoothed(
     source: Path, out: Path, config: SmoothLogConfig, progress: Callable[[float], None] | None = None
 ) -> SmoothSummary:
-    """Smooth the log `source` into `out`; progress: gets the fraction done. Raises LogError for a file that is no log.
+    """Smooth the log `source` into `out`; progress: fraction done. Raises LogError.
 
-    out holds the messages and attachments of the source, its own estimates included (an earlier /landfix/smoothed is not), and
-    nav_msgs/Odometry on /landfix/smoothed, each at the log time of the first IMU sample that is not older.
+    out: the source's messages, and nav_msgs/Odometry on /landfix/smoothed at the log time of the first IMU sample that is not
+    older.
     """
     if source.exists() and out.exists() and out.samefile(source):
         raise LogError(f"{out}: the output would overwrite the input; name another file after -o")
@@ -99,10 +99,7 @@ def _read(source: Path, decoder: Decoder, tell: Callable[[float], None]) -> list
 
 
 def of_one_imu(messages: list[Input], config: FusionConfig, tell: Callable[[float], None] = lambda _: None) -> list[Input]:
-    """Of several IMUs the samples of that which led longest, while it led: the smoother does not go across a change.
-
-    Positions may decide which IMU is wrong, so the flight is estimated once more to see which of them led.
-    """
+    """Of several IMUs the samples of the one that led longest, while it led, found by estimating the flight once more."""
     if len(config.imu_topics) < 2:
         return messages
     fusion, led = Fusion(config), dict[int, str]()  # topics by the time from which they led

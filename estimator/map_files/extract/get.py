@@ -1,8 +1,4 @@
-"""Footprints around a place, of a file or a folder of extracts, as a map of landmarks.
-
-Each polygon is a landmark: the parts of a multipolygon each its own, holes and heights of corners left out. What a data set does
-not say of its accuracy is taken from the table of sources.
-"""
+"""Footprints around a place, from extracts, as a map of landmarks; each part of a multipolygon is one, holes are left out."""
 
 import json
 import math
@@ -57,9 +53,7 @@ class Ground(NamedTuple):
 
 
 class Got(msgspec.Struct, frozen=True):
-    """What the map is made from. read: polygons in the files, or near the place where the file has an index; sources: landmarks
-    of each data set; attribution: what a publication of the map must say.
-    """
+    """The map's origin in data: read: polygons; sources: landmarks of each data set; attribution: required by licences."""
 
     landmarks: int
     read: int
@@ -77,11 +71,10 @@ def get(
     progress: Callable[[float], None] | None = None,
     ground: Ground | None = None,
 ) -> tuple[LandmarkMap, Got]:
-    """The map, and what was found. ground_alt_m: of the place above the ellipsoid; sigma_m: instead of the
-    sources', and of the shift that what is traced from one image has in common. ground: height of each landmark's own ground,
-    and of the place, in place of ground_alt_m.
+    """The map and what was found. Raises MapError without a footprint.
 
-    Raises MapError where there is no footprint.
+    ground_alt_m: of the place above the ellipsoid; sigma_m: in place of the sources'; ground: heights of the landmarks' own
+    ground.
     """
     files = _files(source)
     features: list[dict[str, Any]] = []

@@ -1,6 +1,5 @@
-"""Formats that need libraries (landfix[geo]): GeoPackage, Shapefile, OpenStreetMap files and others by GDAL, GeoParquet by Arrow.
-
-Only the features around the wanted place are read, where the file has an index or bounding boxes.
+"""Formats of landfix[geo]: GeoPackage, Shapefile, OpenStreetMap files and others by GDAL, GeoParquet by Arrow, near the place
+only.
 """
 
 import json
@@ -46,10 +45,7 @@ def read_gdal(path: Path, place: Place) -> Iterator[Footprint]:
 
 
 def _check_head(path: Path) -> None:
-    """Refuse a file that begins otherwise than its name says: GDAL goes by the content, and one of its formats names other files.
-
-    Raises MapError.
-    """
+    """Refuse a file whose beginning contradicts its name: one of GDAL's formats names other files. Raises MapError."""
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD)

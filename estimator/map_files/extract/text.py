@@ -1,8 +1,4 @@
-"""GeoJSON, GeoJSON a feature a line, and what Overpass answers: read without extras.
-
-Of Overpass JSON ways and multipolygon relations, with `out geom;` or with their nodes. Source: OSM wiki, "Overpass
-API/Overpass QL" and "Relation:multipolygon".
-"""
+"""GeoJSON, GeoJSON a feature a line, and Overpass JSON (OSM wiki, "Overpass QL", "Relation:multipolygon"), without extras."""
 
 import json
 from collections import defaultdict
