@@ -93,7 +93,7 @@ class LandmarkPipeline:
         return result if result.fix is not None or not predicted else _with_remark(result, predicted)
 
     def _verified(self, found: Identified, near: list[Landmark], t_ns: int, prior: Prior) -> Result:
-        """What predict and verify says of the position that identified regions tell."""
+        """What predict and verify says of the position by identified regions."""
         moves = self._predict.moves(found.images, near, found.posterior)
         if moves is None:
             return nothing(t_ns, "no_pose", found.images.remark)

@@ -217,7 +217,7 @@ class SegmentPath:
 
 
 def _rows_sigma(rig: StereoRig) -> float:
-    """By how much rows may differ for all that the calibration knows [px]: f drx, and both principal points."""
+    """By how much rows may differ by the calibration's uncertainty [px]: f drx, and both principal points."""
     turn = 0.0 if rig.covariance_rc is None else float(rig.covariance_rc[3, 3]) * rig.left.fy**2
     return float(np.sqrt(turn + sum(float(c.covariance[3, 3]) for c in (rig.left, rig.right) if c.covariance is not None)))
 

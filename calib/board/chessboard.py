@@ -181,7 +181,7 @@ def _turned(grey_image: Grey, px: Array, board: Board) -> bool:
 
 
 def _edge_width(grey_image: Grey, px: Array, board: Board) -> float:
-    """Pixels that the board's edges take from 10 to 90 % of their height; 0 where squares are too small to tell."""
+    """Pixels that the board's edges take from 10 to 90 % of their height; 0 where squares are too small."""
     corners = px.astype(np.float32).reshape(-1, 1, 2)
     width = float(np.ravel(cv2.estimateChessboardSharpness(grey_image, board.size, corners)[0])[0])
     return width if width < _UNKNOWN_PX else 0.0

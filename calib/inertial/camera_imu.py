@@ -200,7 +200,7 @@ def first_rotation(imu: Recording, stamps_ns: Times, poses: BoardPoses) -> tuple
 
 
 def _check_turned(rate_b: Array) -> None:
-    """Refuse a camera whose rates (N, 3) tell no rotation, or only a part of it."""
+    """Refuse a camera whose rates (N, 3) determine no rotation, or only a part of it."""
     spread = np.sqrt(np.sort(np.linalg.eigvalsh(np.cov(rate_b.T)))[::-1])
     if spread[0] < _STILL_RAD_S:
         raise CalibrationError("the camera hardly turned: turn it about all three axes, briskly, for a minute, board in view")

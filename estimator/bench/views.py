@@ -76,12 +76,12 @@ class Sample:
 
     @cached_property
     def next(self) -> "Sample":
-        """The next pair; drawn once, whoever asks."""
+        """The next pair; drawn once, for all callers."""
         return later(self)
 
 
 def draw(experiment: Experiment, roof: Roof, seed: int, number: int, attempt: int = 0) -> Sample:
-    """Sample `number` of a run; worlds and poses are drawn until one shows what the experiment asks for."""
+    """Sample `number` of a run; worlds and poses are drawn until one shows what the experiment needs."""
     numbers = (seed, EXPERIMENTS.index(experiment), ROOFS.index(roof), number, attempt)
     rng = np.random.default_rng(numbers)
     scene, p_n, R_nb, seen = _shown(experiment, roof, rng)
@@ -105,7 +105,7 @@ def later(sample: Sample) -> Sample:
 
 
 def _shown(experiment: Experiment, roof: Roof, rng: np.random.Generator) -> tuple[Scene, Array, Array, dict[str, float]]:
-    """A scene and a pose that show what the experiment asks for, and the shares of the landmarks that may be asked for."""
+    """A scene and a pose that show what the experiment needs, and the shares of the landmarks that may be asked for."""
     while True:
         world = _scene(experiment, roof, rng)
         for _ in range(_POSES):

@@ -43,7 +43,7 @@ class VisualOdometryConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
 
 
 class KeyFrames:
-    """Chooses pairs and asks. One at a time, in the order of their exposure."""
+    """Chooses pairs and requests them. One at a time, in the order of their exposure."""
 
     def __init__(self, config: VisualOdometryConfig) -> None:
         self._config = config

@@ -77,7 +77,7 @@ class Comparison:
 
     @property
     def has_attitude(self) -> Mask:
-        """Where both tell the attitude, (n,)."""
+        """Where both have an attitude, (n,)."""
         return np.asarray(np.isfinite(self.theta_error).all(axis=1))
 
 

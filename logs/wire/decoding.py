@@ -253,7 +253,7 @@ def _reading(kind: str, sensor: Sensor, topic: str, message: Any, arrived_ns: in
 
 
 def _odometry_pose(topic: str, message: Any, arrived_ns: int) -> OdometryPose:
-    """Of an odometry the pose: its covariance is that of all its past, its velocity says nothing that the poses do not."""
+    """Of an odometry the pose: its covariance is that of all its past, its velocity adds nothing to the poses."""
     p_o, q_ob_wxyz, _ = _pose(message.pose)
     return OdometryPose(_t_ns(message.header.stamp), arrived_ns, p_o, q_ob_wxyz, message.header.frame_id, topic)
 

@@ -147,7 +147,7 @@ def _in_range(parts: Parts, lonlat: Array, offsets: NDArray[np.int64]) -> NDArra
 
 
 def _middle(lonlat: Array, offsets: NDArray[np.int64], good: NDArray[np.bool_], ground_alt: Array) -> Vec3:
-    """An origin: the median place, at the median ground altitude (0 where no feature knows its own)."""
+    """An origin: the median place, at the median ground altitude (0 where no feature has its own)."""
     lon, lat = lonlat[offsets[:-1][good]].T
     if len(lon) == 0:
         return 0.0, 0.0, 0.0

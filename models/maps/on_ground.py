@@ -35,7 +35,7 @@ def lies_on_ground(tags: Mapping[str, str]) -> bool:
 
 
 def width_m(tags: Mapping[str, str], given_m: float | None, lanes: float | None) -> tuple[float, float] | None:
-    """Width of a line and the standard deviation of each of its sides; None where nothing tells the width."""
+    """Width of a line and the standard deviation of each of its sides; None where the width is unknown."""
     if given_m is not None:
         return given_m, EDGE_SIGMA_M
     if lanes is not None:

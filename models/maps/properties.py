@@ -70,7 +70,7 @@ class Properties(
 
     @property
     def tags(self) -> dict[str, str]:
-        """What tells of a feature on the ground."""
+        """Tags of a feature on the ground."""
         kinds = ("building", "leisure", "amenity", "parking", "natural", "aeroway", "highway", "railway")
         return {name: value for name in kinds if isinstance(value := getattr(self, name), str)}
 

@@ -68,7 +68,7 @@ class MapReport(msgspec.Struct, frozen=True, eq=False):
 
 
 def reasons(findings: Iterable[Finding]) -> list[tuple[str, int]]:
-    """What was found, and of how many features each; numbers in a text do not tell it from another."""
+    """What was found, and of how many features each; texts that differ in numbers alone count as one."""
     return Counter(re.sub(r"#?\d[\d.]*", "...", finding.text) for finding in findings).most_common()
 
 

@@ -98,7 +98,7 @@ class Simulation:
 
 
 def simulate(scenario: Scenario, seed: int) -> Simulation:
-    """One run of the scenario. Raises ValueError for a fault that asks for what the scenario does not have."""
+    """One run of the scenario. Raises ValueError for a fault that needs what the scenario does not have."""
     for_course, for_imu, for_gnss, for_fixes, for_air, for_others, for_beacons = np.random.default_rng(seed).spawn(7)
     origin = Origin(*scenario.origin) if scenario.geographic else None
     air = blow(scenario.wind, for_air) if scenario.wind else None
@@ -159,7 +159,7 @@ def _truth(t_ns: NDArray[np.int64], motion: Motion, record: ImuRecord) -> Truth:
 
 
 def _config_toml(scenario: Scenario, noise: ImuNoise) -> str:
-    """The landfix configuration that knows of these sensors what an engineer would: grade, lever arm, delay and origin."""
+    """The landfix configuration with the values that an engineer has for these sensors: grade, lever arm, delay and origin."""
     lines = ["[imu]", 'axes = "flu"']
     lines += [f"{name} = {value!r}" for name, value in msgspec.structs.asdict(noise).items()]
     imus = [f'"{topic}"' for topic in (_topic(ImuSample), *map(_other_topic, range(len(scenario.other_imus))))]

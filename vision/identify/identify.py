@@ -101,7 +101,7 @@ def _roof_scale(sightings: list[Sighting], landmarks: Catalogue, prior: Prior) -
 
 
 def _from_height(prior: Prior, down: float) -> Array:
-    """What one camera knows of the scale is the prior's height: s = -dp_d / down, in (7, 7)."""
+    """One camera has its scale from the prior's height: s = -dp_d / down, in (7, 7)."""
     covariance = np.zeros((STATES, STATES))
     covariance[SCALE, :SCALE] = covariance[:SCALE, SCALE] = -prior.covariance[2] / down
     covariance[SCALE, SCALE] = prior.covariance[2, 2] / down**2
@@ -118,7 +118,7 @@ def _likeness(sightings: list[Sighting], landmarks: Catalogue, scale: Array, sig
 
 
 def _fitted(sightings: list[Sighting], landmarks: Catalogue, scale: Array, sigma: float) -> Array:
-    """Scale within 3 sigma at which the size agrees best (M, J): a short baseline hardly knows it, one camera not at all."""
+    """Scale within 3 sigma at which the size agrees best (M, J): a short baseline hardly determines it, one camera does not."""
     size = np.array([s.size_m2 for s in sightings]).reshape(-1, 1) * scale**2
     wanted = 0.5 * np.log(landmarks.description[None, :, 0] / size)
     return np.asarray(scale * np.exp(np.clip(wanted, -3.0 * sigma, 3.0 * sigma)))

@@ -257,7 +257,7 @@ class StereoOdometry:
     def _second_motion(
         self, tracks: Tracks, inliers: NDArray[np.bool_], solution: Solution, prediction: Prediction, plane: Plane | None
     ) -> tuple[str, str]:
-        """(reason, remark): whether the points that do not fit move together, and whether the prediction tells which is which."""
+        """(reason, remark): whether the points that do not fit move together, and whether the prediction separates them."""
         others = ~inliers
         count = int(others.sum())
         if count < max(_SECOND_POINTS, _SECOND_SHARE * len(inliers)):

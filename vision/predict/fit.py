@@ -243,7 +243,7 @@ def _sigma_m(fit: PoseEstimate) -> float:
 
 
 def _pair_sigma_px(rig: StereoRig) -> float:
-    """By how much the two images may be shifted against each other for all that the calibration knows [px]."""
+    """By how much the two images may be shifted against each other by the calibration's uncertainty [px]."""
     turn = 0.0 if rig.covariance_rc is None else float(rig.covariance_rc[3:5, 3:5].diagonal().max()) * rig.left.fy**2
     lenses = sum(float(c.covariance[2:4, 2:4].diagonal().max()) for c in (rig.left, rig.right) if c.covariance is not None)
     return math.sqrt(turn + lenses)

@@ -100,7 +100,7 @@ def pair(left: Sequence[Keyed], right: Sequence[Keyed]) -> tuple[list[Pair], lis
 
 
 def _check_whole(board: Board, shown: Sequence[Image]) -> None:
-    """Refuse a board that is a part of a larger one, the same in all of these images: which part, nobody knows."""
+    """Refuse a board that is a part of a larger one, the same in all of these images: which part is unknown."""
     size = size_around(shown[0], board) if shown else None
     if size is not None and all(size_around(image, board) == size for image in shown[1:]):
         raise CalibrationError(

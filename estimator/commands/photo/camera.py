@@ -4,9 +4,9 @@
              focal length times the sensor's pixels in a mm                                  1.5 %
              w / W times the 35 mm equivalent, W of 36 mm or of a diagonal of 43.3 mm          3 %
 
-The 35 mm equivalent is of the width for sensors of 3:2 and of the diagonal for those of 4:3 (CIPA DCG-001); of a cropped height
-nothing tells which one, and the mean is taken. The principal point is in the middle, and the lens has no distortion, each with
-the standard deviation that drone cameras of no calibration have.
+The 35 mm equivalent is of the width for sensors of 3:2 and of the diagonal for those of 4:3 (CIPA DCG-001); for a cropped
+height it is unknown which one, and the mean is taken. The principal point is in the middle, and the lens has no distortion,
+each with the standard deviation that drone cameras of no calibration have.
 """
 
 from typing import Final, NamedTuple
@@ -35,7 +35,7 @@ class FromTags(NamedTuple):
 
 
 def camera_of(tags: Tags, width: int, where: str) -> FromTags:
-    """The camera of a photo, at so many pixels of width. Raises CalibrationError where the tags do not tell it."""
+    """The camera of a photo, at so many pixels of width. Raises CalibrationError where the tags do not hold it."""
     taken_w, taken_h = tags.taken_px
     if (
         abs(tags.width * taken_h / (tags.height * taken_w) - 1.0) > _SAME
@@ -70,7 +70,7 @@ def _dewarped(tags: Tags, width: int, height: int, scale: float) -> FromTags:
 
 
 def _focal(tags: Tags, scale: float, width: int, height: int, where: str) -> tuple[float, str, float]:
-    """Focal length [px], the tag that tells it, and its relative standard deviation."""
+    """Focal length [px], its tag, and its relative standard deviation."""
     if tags.focal_px is not None:
         return scale * tags.focal_px, "CalibratedFocalLength", _CALIBRATED
     if tags.focal_mm is not None and tags.px_per_mm is not None:

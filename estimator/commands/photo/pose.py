@@ -39,7 +39,7 @@ def prior_of(
     """The prior pose in n. ground_d(north, east): down of the map's ground there; height_m: above it, in place of the tags';
     camera_pitch_deg: from the horizon, of a camera without a gimbal, whose heading is the aircraft's.
 
-    Raises CalibrationError, one line, where the tags do not tell it.
+    Raises CalibrationError, one line, where the tags do not hold it.
     """
     if tags.lat_lon_deg is None:
         raise CalibrationError(f"{where}: no position in its tags (EXIF, XMP): give --prior LAT,LON,ALT,ROLL,PITCH,YAW")

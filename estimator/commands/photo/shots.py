@@ -1,6 +1,6 @@
 """What landfix locate looks at: images of a rig, photos or a video of one camera, each with its prior.
 
-rig      --rig: a rig of two cameras, or one camera on the body; without it the camera that the first photo's tags tell of
+rig      --rig: a rig of two cameras, or one camera on the body; without it the camera of the first photo's tags
 prior    --prior, one for all or one for each; without it each photo's own tags, and then the body is the camera
 """
 

@@ -73,7 +73,7 @@ class Px4Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class OutputPolicy:
-    """Notes what the estimator puts out; answers for the estimate at hand. One for each link: it knows what was sent last."""
+    """Notes what the estimator puts out; answers for the estimate at hand. One for each link: it keeps what was sent last."""
 
     def __init__(self, config: AutopilotConfig) -> None:
         self._config = config

@@ -1,4 +1,4 @@
-"""How the daemon itself is doing: latencies, rates, drops. Sent as /landfix/daemon, and as JSON to whoever asks."""
+"""How the daemon itself is doing: latencies, rates, drops. Sent as /landfix/daemon, and as JSON on request."""
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -205,7 +205,7 @@ def global_position(e: Estimate, at: Place, time_usec: int, slot: int, system: i
 
 
 def gps_input(e: Estimate, at: Place, time_usec: int, gps_id: int, utc_ns: int | None) -> Any:
-    """GPS_INPUT, a fix without a velocity; utc_ns: its date, where the autopilot knows it; week 0 where it knows none."""
+    """GPS_INPUT, a fix without a velocity; utc_ns: its date, where it is known, else week 0."""
     eph, epv = position_sigmas(e.covariance)
     week, week_ms = 0, 0
     if utc_ns is not None and is_date(utc_ns):

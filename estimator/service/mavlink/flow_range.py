@@ -33,7 +33,7 @@ class FlowRange:
         self._estimate = estimate
 
     def at(self, message: Any, t_ns: int) -> Range | None:
-        """Of an OPTICAL_FLOW_RAD of t_ns; None: nothing knows it."""
+        """Of an OPTICAL_FLOW_RAD of t_ns; None: not known."""
         finder = self._finder
         finder_m = finder[1] if finder is not None and abs(t_ns - finder[0]) <= _OLD_NS else math.nan
         return measured_range(message.distance, finder_m) or self._of_filter(t_ns)

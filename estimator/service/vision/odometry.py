@@ -36,7 +36,7 @@ def serve_odometry(pipe: Connection, rig_file: Path) -> None:
 
 
 class OdometryWorker(VisionWorker):
-    """As VisionWorker; asks about the pair of each key frame and the one before."""
+    """As VisionWorker; requests the pair of each key frame and the one before."""
 
     _measurement = ODOMETRY_DELTA_TOPIC
 

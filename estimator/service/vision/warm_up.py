@@ -54,7 +54,7 @@ def warm_up() -> None:
 
 
 def _score_a_pattern() -> None:
-    """The score of all outlines together, which none of these priors asks for."""
+    """The score of all outlines together, which none of these priors needs."""
     field, shifts = np.zeros((4, 4, 7), np.float32), np.zeros(1)
     joint_score(field, np.ones(4), np.ones((1, 11)), 1.0, shifts, shifts)
 

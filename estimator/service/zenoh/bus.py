@@ -82,7 +82,7 @@ class _Sender:
         return any(p is not None and p.matching_status.matching for p in (self._rmw, self._plain))  # type: ignore[attr-defined]
 
     def _answer(self, query: zenoh.Query) -> None:
-        """The last message of the topic, for whoever comes late and asks."""
+        """The last message of the topic, for late queries."""
         with query:
             if self.last is not None:
                 query.reply(query.key_expr, self.last)

@@ -33,7 +33,7 @@ class _Choice(NamedTuple):
 
 
 def illustrations(log: Path, config: Path | None = None, rig: Path | None = None, map_file: Path | None = None) -> Illustrate:
-    """What logs.report.write.write asks for. Files as landfix overlay finds them; where there are none, no map is drawn in."""
+    """As logs.report.write.write requires. Files as landfix overlay finds them; where there are none, no map is drawn in."""
 
     def illustrate(collected: Collected, gathered: Gathered) -> Illustrations:
         chosen = _choose(collected, gathered)
