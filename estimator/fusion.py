@@ -16,6 +16,7 @@ from estimator.filter.alignment import FilterConfig, TrackerConfig
 from estimator.filter.bounds import BoundsConfig
 from estimator.filter.eskf import Eskf
 from estimator.filter.history import Entry, History
+from estimator.filter.quiet import Quiet
 from estimator.filter.tracker import Tracker
 from estimator.integrity.config import IntegrityConfig
 from estimator.integrity.monitor import Monitor
@@ -38,6 +39,7 @@ from models.messages import (
     ImuSample,
     Input,
     LastGnss,
+    Mode,
     Output,
     Reason,
     Reset,
@@ -86,6 +88,7 @@ class Fusion:
     def __init__(self, config: FusionConfig) -> None:
         self._config = config
         self._history = self._begin()
+        self._questions = self._asked()
         self._imus = Choice(config.imus, config.imu_topics)
         self._held = HeldImu()
         self._counts: dict[str, int] = {}
@@ -96,6 +99,7 @@ class Fusion:
         self._next_health_ns: int | None = None
         self._future_ns = round(config.estimator.future_s * 1e9)
         self._out_of_sync: tuple[int, int, int] | None = None  # count, first arrival, last stamp of samples off our clock
+        self._gap_ns = round(config.coast.gap_s * 1e9)
         self._early_ns = round(min(config.coast.gap_s, config.estimator.future_s) * 1e9)
         self._early: dict[str, ImuSample] = {}  # by topic: further ahead than a gap, until a second one is as well
         self._lead: tuple[int, int] | None = None  # stamps of IMU and ticks ahead of their arrivals, and as of when
@@ -108,13 +112,18 @@ class Fusion:
         """Take one message; what it leads to, in order."""
         moves = True  # the state, rather than a measurement that is to take its place
         try:
-            self._history.catch_up()
+            quiet = self._history.quiet
             if type(message) is ImuSample:
-                out = self._imu(message)
+                out = None if quiet is None else self._next(message, quiet)
+                if out is None:
+                    self._history.catch_up()
+                    out = self._imu(message)
             else:
+                self._history.catch_up()
                 moves = type(message) is Tick
                 out = self._other(message)
         except Exception as error:
+            self._history.quiet = None
             self._detail = f"internal error: {type(error).__name__}: {error}"
             out = [self._refuse(message, Refusal(Reason.INTERNAL, self._detail))]
             if moves:
@@ -160,7 +169,43 @@ class Fusion:
             tracker.resume(checkpoint)
         return History(tracker, config.estimator.history_s)
 
+    def _asked(self) -> list[tuple[int, Callable[[int], Aid]]]:
+        """What the IMU itself shows, rest and drag, is asked once a period, at stamps that do not depend on the samples."""
+        rest, drag, wind = self._config.rest, self._config.drag, self._config.wind
+        asked: list[tuple[int, Callable[[int], Aid]]] = []
+        if rest.enabled:
+            asked.append((round(rest.every_s * 1e9), rest_aid))
+        if drag.enabled:
+            asked.append((round(drag.every_s * 1e9), lambda t_ns: drag_aid(t_ns, wind)))
+        return asked
+
     # --- inputs ---------------------------------------------------------------------------------------------------------
+
+    def _next(self, sample: ImuSample, quiet: Quiet) -> list[Output] | None:
+        """The estimate at the next sample where nothing else happens; None: the sample has not been taken."""
+        t_ns, newest_ns, last = sample.t_ns, quiet.samples.newest_ns, self._published
+        if (
+            not newest_ns < t_ns <= min(quiet.until_ns, newest_ns + self._gap_ns)
+            or last is None
+            or t_ns <= last.t_ns
+            or quiet.tracker is not self._publisher
+            or self._early
+            or self._imus.is_used
+            or (self._questions and self._is_asked(t_ns, newest_ns))
+            or self._ahead_ns(sample) > self._early_ns
+            or sample_refusal(sample) is not None
+        ):
+            return None
+        if held := self._held.note(sample):
+            return self._hold(sample, held)
+        self._out_of_sync = None
+        self._note_lead(sample)
+        tracker, shown = quiet.tracker, self._history.take_next(sample, quiet)
+        if shown is None:  # out of bounds
+            return self._publish(tracker, t_ns, sample.arrived_ns, sample.gyro_b)
+        nav, covariance = shown
+        self._published = estimate = self._estimate(tracker, t_ns, sample.arrived_ns, nav, covariance, sample.gyro_b, quiet.mode)
+        return [estimate, *self._periodic(tracker, t_ns, sample.arrived_ns)]
 
     def _imu(self, sample: ImuSample) -> list[Output]:
         ahead_ns = self._ahead_ns(sample)
@@ -184,12 +229,16 @@ class Fusion:
                 return []
             if changed:
                 return self._advance(sample)
-        elif held := self._held.note(sample):  # time goes on without it
-            return [self._refuse(sample, Refusal(Reason.HELD, held)), *self._tick(Tick(sample.t_ns, sample.arrived_ns))]
+        elif held := self._held.note(sample):
+            return self._hold(sample, held)
         if (reason := self._history.insert_sample(sample)) is not None:
             return self._refuse_sample(sample, Refusal(reason))
         self._out_of_sync = None
         return self._advance(sample)
+
+    def _hold(self, sample: ImuSample, why: str) -> list[Output]:
+        """Time goes on without a sample that repeats the last one."""
+        return [self._refuse(sample, Refusal(Reason.HELD, why)), *self._tick(Tick(sample.t_ns, sample.arrived_ns))]
 
     def _refuse_sample(self, sample: ImuSample, refusal: Refusal) -> list[Output]:
         return [self._refuse(sample, refusal), *self._clock_stepped(sample, refusal)]
@@ -211,20 +260,16 @@ class Fusion:
         if sample.t_ns != self._history.samples.newest_ns:  # late: what it changes shows in the next output
             return []
         self._note_lead(sample)
-        config = self._config
-        if config.rest.enabled:
-            self._ask(sample.t_ns, config.rest.every_s, rest_aid)
-        if config.drag.enabled:
-            self._ask(sample.t_ns, config.drag.every_s, lambda t_ns: drag_aid(t_ns, config.wind))
+        for period_ns, question in self._questions:
+            asked_ns = sample.t_ns // period_ns * period_ns
+            if asked_ns > self._history.samples.previous_ns:
+                self._history.insert_aid(question(asked_ns))
         tracker = self._history.advance(sample.t_ns)
         return self._publish(tracker, sample.t_ns, sample.arrived_ns, sample.gyro_b)
 
-    def _ask(self, t_ns: int, every_s: float, question: Callable[[int], Aid]) -> None:
-        """Once a period, at stamps that do not depend on the samples, what the IMU itself shows: rest, drag."""
-        period_ns = round(every_s * 1e9)
-        asked_ns = t_ns // period_ns * period_ns
-        if asked_ns > self._history.samples.previous_ns:
-            self._history.insert_aid(question(asked_ns))
+    def _is_asked(self, t_ns: int, since_ns: int) -> bool:
+        """Whether a period of a question ends in between."""
+        return any(t_ns // period_ns * period_ns > since_ns for period_ns, _ in self._questions)
 
     def _other(self, message: Input) -> list[Output]:
         match message:
@@ -327,22 +372,23 @@ class Fusion:
                 self._reset_counter += 1
                 p, v, theta = vec3(jump[E.P]), vec3(jump[E.V]), vec3(so3.matrix(lead.x[X.Q]) @ jump[E.THETA])
                 out.append(Reset(t_ns, arrived_ns, self._reset_counter, p, v, theta))
-            nav = lead.x.copy()
-            bias = nav[X.BG].tolist()
-            self._published = Estimate(
-                t_ns,
-                arrived_ns,
-                nav,
-                covariance,
-                (gyro[0] - bias[0], gyro[1] - bias[1], gyro[2] - bias[2]),
-                tracker.mode(self._history.samples.newest_ns, t_ns),
-                self._reset_counter,
-                tracker.core.last_absolute_ns,
-                tracker.place,
-            )
+            mode = tracker.mode(self._history.samples.newest_ns, t_ns)
+            self._published = self._estimate(tracker, t_ns, arrived_ns, lead.x.copy(), covariance, gyro, mode)
             out.append(self._published)
         if changed:
             out += [self._aid_status(entry) for entry in changed]
+        return out + self._periodic(tracker, t_ns, arrived_ns)
+
+    def _estimate(
+        self, tracker: Tracker, t_ns: int, arrived_ns: int, nav: Array, covariance: Array, gyro: Vec3, mode: Mode
+    ) -> Estimate:
+        bx, by, bz = nav[X.BG].tolist()
+        rate, absolute_ns = (gyro[0] - bx, gyro[1] - by, gyro[2] - bz), tracker.core.last_absolute_ns
+        return Estimate(t_ns, arrived_ns, nav, covariance, rate, mode, self._reset_counter, absolute_ns, tracker.place)
+
+    def _periodic(self, tracker: Tracker, t_ns: int, arrived_ns: int) -> list[Output]:
+        """Integrity and health, when they are due."""
+        out: list[Output] = []
         if self._integrity.due(t_ns):
             out.append(self._integrity.at(tracker, t_ns, arrived_ns))
         if self._next_health_ns is None or t_ns >= self._next_health_ns:

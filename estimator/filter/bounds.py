@@ -5,6 +5,7 @@ estimator begins again.
 """
 
 import math
+from functools import cache
 from typing import Annotated, Literal, NamedTuple, TypeAlias
 
 import msgspec
@@ -41,6 +42,11 @@ _LIMITS: dict[Vehicle, Limits] = {
 }
 
 
+@cache
+def _limits(vehicle: Vehicle, *given: float | None) -> Limits:
+    return Limits(*(float(of_kind if own is None else own) for own, of_kind in zip(given, _LIMITS[vehicle], strict=True)))
+
+
 class BoundsConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[bounds]: an estimate beyond them is not published; the estimator begins again."""
 
@@ -54,16 +60,18 @@ class BoundsConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         50_000.0
     )
 
+    @property
+    def limits(self) -> Limits:
+        """Those given, else those of the vehicle."""
+        return _limits(self.vehicle, self.speed_m_s, self.lowest_m, self.highest_m)
+
     def violation(self, x: Array, cov: Array, origin_m: float) -> str:
         """What of the state x (16,) and P (n, n) is out of bounds; '' where nothing is.
 
         origin_m: ellipsoid height of n's origin (0 where it is unknown).
         """
-        limits = _LIMITS[self.vehicle]
-        fastest = limits.speed_m_s if self.speed_m_s is None else self.speed_m_s
-        lowest = limits.lowest_m if self.lowest_m is None else self.lowest_m
-        highest = limits.highest_m if self.highest_m is None else self.highest_m
-        if _is_within(x, cov, fastest, origin_m - highest, origin_m - lowest, self.sigma_m):  # nearly every call
+        fastest, lowest, highest = self.limits
+        if is_within(x, cov, fastest, origin_m - highest, origin_m - lowest, self.sigma_m):  # nearly every call
             return ""
         state, variances = x.tolist(), cov.diagonal().tolist()
         speed = math.hypot(*state[X.V])
@@ -86,7 +94,7 @@ _XP, _XV, _P, _T, _G = X.P.start, X.V.start, E.P.start, E.THETA.start, E.BG.star
 
 
 @njit(cache=True, error_model="numpy")
-def _is_within(x: Array, cov: Array, fastest: float, least_down: float, most_down: float, sigma: float) -> bool:
+def is_within(x: Array, cov: Array, fastest: float, least_down: float, most_down: float, sigma: float) -> bool:
     """Whether nothing can be out of bounds: speed, down position and variances of position and of all of the attitude."""
     good = math.sqrt(x[_XV] ** 2 + x[_XV + 1] ** 2 + x[_XV + 2] ** 2) <= fastest and least_down <= x[_XP + 2] <= most_down
     for i in range(_P, _P + 3):

@@ -21,9 +21,10 @@ from dataclasses import dataclass
 
 from estimator.filter.alignment import NEVER, Decision
 from estimator.filter.imu_buffer import ImuBuffer
+from estimator.filter.quiet import Quiet
 from estimator.filter.tracker import Tracker
 from estimator.sources.base.aid import Aid
-from models.messages import ImuSample, Reason
+from models.messages import Array, ImuSample, Reason
 
 _CHECKPOINT_SAMPLES = 32  # IMU samples between checkpoints: a copy costs about as much as ten samples
 _MEASUREMENT_NS = 2_500_000  # between two samples, of what came late, one for each so long: a slice fits into the time
@@ -65,6 +66,7 @@ class History:
         self._due = False  # a slice of that work
         self._coasted_ns = NEVER
         self._changed: list[Entry] = []
+        self.quiet: Quiet | None = None  # where the next sample has nothing to do but to be gone through
 
     def from_last_sound(self) -> "History | None":
         """A history that begins at the newest sound checkpoint, with the IMU samples and without any aid; None: there is none."""
@@ -75,6 +77,7 @@ class History:
 
     def insert_sample(self, sample: ImuSample) -> Reason | None:
         """Put an IMU sample in its place; the reason where it is not taken."""
+        self.quiet = None
         if sample.t_ns <= self._checkpoint_times[0]:
             return Reason.TOO_OLD
         if sample.t_ns > self.samples.newest_ns:
@@ -97,6 +100,7 @@ class History:
 
     def change_imu(self, since_ns: int, samples: list[ImuSample]) -> int:
         """Samples of another IMU in place of those after since_ns; from when on, which is later where that is too long ago."""
+        self.quiet = None
         since_ns = max(since_ns, self._checkpoint_times[0] + 1, self.samples.newest_ns - self._span_ns)
         self.samples.cut(since_ns)
         for sample in samples:
@@ -118,6 +122,7 @@ class History:
 
     def _place(self, aid: Aid) -> bool:
         """Put it in the order, and go back for it; False: it is there."""
+        self.quiet = None
         k = bisect_left(self._orders, aid.order)
         if k < len(self._orders) and self._orders[k] == aid.order:
             return False
@@ -136,10 +141,7 @@ class History:
         coast: beyond the newest IMU sample, too, with a slice of the measurements that wait there. The tracker then stands at the
         last of them: where the IMU will split the time beyond it is not known yet. An IMU sample that was late takes it back.
         """
-        if self._is_one_sample_behind(to_ns):  # nearly every call
-            self._since_checkpoint += 1
-            self.tracker.propagate(self.samples, to_ns)
-            return self.tracker
+        self.quiet = None
         if self._redo_from_ns is not None and self._ahead is None:
             self._ahead, self._ahead_since_ns = self.tracker, self.tracker.core.t_ns
             self._restore()
@@ -155,18 +157,29 @@ class History:
         elif not self._coast(to_ns):
             return self._ahead or self.tracker
         self._hand_over()
+        if not coast and self._is_quiet:
+            self.quiet = Quiet(self.tracker, self.samples, _CHECKPOINT_SAMPLES - 1 - self._since_checkpoint)
         return self._ahead or self.tracker
 
-    def _is_one_sample_behind(self, to_ns: int) -> bool:
-        """Whether all that is left to do is to go one IMU sample further."""
+    @property
+    def _is_quiet(self) -> bool:
+        """Whether the tracker publishes at the newest sample, and all that is left to do is to go through the next ones."""
         return (
-            self.tracker.core.t_ns == self.samples.previous_ns
-            and to_ns == self.samples.newest_ns
+            self.tracker.core.t_ns == self.samples.newest_ns
             and self._next == len(self._orders)
             and self._since_checkpoint < _CHECKPOINT_SAMPLES - 1
             and self._redo_from_ns is None
             and self._ahead is None
+            and self.tracker.alignment.shown is not None
         )
+
+    def take_next(self, sample: ImuSample, quiet: Quiet) -> tuple[Array, Array] | None:
+        """Quiet.take; at the end of the samples that it is for, a checkpoint is due."""
+        self._since_checkpoint += 1
+        shown = quiet.take(sample)
+        if shown is None or not quiet.left:
+            self.quiet = None
+        return shown
 
     def _coast(self, to_ns: int) -> bool:
         """A slice of the measurements up to `to_ns`; whether that is all of them."""

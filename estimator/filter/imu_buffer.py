@@ -50,6 +50,17 @@ class ImuBuffer:
         self.count = end
         return True
 
+    def begin_next(self) -> int:
+        """Where a sample goes that is newer than all others."""
+        if self.count == len(self.t_ns):
+            self._grow()
+        return self.count
+
+    def end_next(self, t_ns: int) -> None:
+        """It stands there."""
+        self.previous_ns, self.newest_ns = self.newest_ns, t_ns
+        self.count += 1
+
     def cut(self, after_ns: int) -> None:
         """Drop the samples later than after_ns."""
         self.count = k = self.first_after(after_ns)

@@ -19,11 +19,10 @@ from estimator.filter.alignment import (
     Core,
     Decision,
     TrackerConfig,
-    covariance,
     lacks,
+    widen_unaligned,
 )  # fmt: skip
 from estimator.filter.eskf import Eskf, Innovation
-from estimator.filter.gnss_anchor import GnssAnchor
 from estimator.filter.hypotheses import Hypotheses, Hypothesis
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.imu_evidence import FELT, ImuEvidence
@@ -35,6 +34,7 @@ from estimator.sources.air.through_air import AirVelocity, DragForce
 from estimator.sources.base import held
 from estimator.sources.base.aid import Aid, Refusal
 from estimator.sources.base.machine import Phase, SourceState
+from estimator.sources.gnss_anchor import GnssAnchor
 from estimator.sources.imu.choice import ImuAid
 from estimator.sources.landmark import position_innovation
 from estimator.sources.odometry import Kept, OdometryAid
@@ -44,6 +44,7 @@ from models.measurements import Conditional, Heading, Measurement, PartialPose, 
 from models.messages import Array, Checkpoint, Mode, Reason
 from models.state import E, X
 
+_ALWAYS_NS = 2**62
 _NO_PLACE = "give [map] origin to use GNSS or a magnetometer together with fixes on a local map"
 _UNKNOWN = SourceState()
 _NO_RATE = np.zeros(3)
@@ -104,12 +105,14 @@ class Tracker:
         """How much of an estimate there is: 2 aligned, 1 published without a heading, 0 none."""
         return 2 if self.core.is_aligned else int(self.alignment.shown is not None)
 
-    def shown_covariance(self) -> Array:
-        """Of what is shown."""
+    def shown_covariance(self, mixed: Array | None = None) -> Array:
+        """Of what is shown; mixed: that of the hypotheses together, where it is known, which this may change."""
         core = self.core
         bank = self.alignment.bank
         assert bank is not None
-        cov = bank.covariance() if core.is_aligned else covariance(bank, core.config.initialise)
+        cov = bank.covariance() if mixed is None else mixed
+        if not core.is_aligned:
+            widen_unaligned(cov, bank, core.config.initialise)
         if core.variance_factor.lasting > core.variance_factor.value:
             cov *= core.variance_factor.lasting / core.variance_factor.value
         if core.conflicts.apart:
@@ -124,6 +127,20 @@ class Tracker:
     def is_sound(self) -> bool:
         """Every number of the leading filter is finite, every variance positive."""
         return self.alignment.bank is None or self.alignment.bank.lead.sound
+
+    @property
+    def shows_mixture(self) -> bool:
+        """What is shown has the covariance of the hypotheses together; nothing but late_cov is added to it."""
+        core, factor = self.core, self.core.variance_factor
+        is_plain = core.is_aligned and not core.conflicts.apart and self.alignment.without_sensor is None
+        return is_plain and not factor.lasting > factor.value
+
+    @property
+    def limits(self) -> tuple[float, float, float, float]:
+        """Of what is published (bounds.is_within): speed, least and largest down position, sigma of the position."""
+        bounds, origin_m = self.core.config.bounds, float(self.place[2]) if self.place else 0.0
+        fastest, lowest, highest = bounds.limits
+        return fastest, origin_m - highest, origin_m - lowest, float(bounds.sigma_m)
 
     def violation(self, eskf: Eskf) -> str:
         """What of the state is beyond any vehicle's; '' where nothing is."""
@@ -197,15 +214,20 @@ class Tracker:
     def mode(self, newest_imu_ns: int, t_ns: int) -> Mode:
         """What an estimate for t_ns rests on."""
         core = self.core
+        is_coasting = core.is_aligned and core.hypotheses is not None and t_ns - newest_imu_ns > core.gap_ns
+        return Mode.COASTING if is_coasting else self.mode_until(t_ns)[0]
+
+    def mode_until(self, t_ns: int) -> tuple[Mode, int]:
+        """What an estimate rests on at t_ns with the IMU, and until when it does without another measurement."""
+        core = self.core
         if core.hypotheses is None or not core.is_aligned:
             if self.alignment.shown is not None:
-                return Mode.ALIGNING_HEADING
-            return Mode.STARTING if self.alignment.plausibility.phase is not Phase.ACTIVE else Mode.ALIGNING
-        if t_ns - newest_imu_ns > core.gap_ns:
-            return Mode.COASTING
-        if t_ns - core.last_absolute_ns <= core.aided_ns:
-            return Mode.AIDED
-        return Mode.ODOMETRY if t_ns - self.last_odometry_ns <= core.aided_ns else Mode.DEAD_RECKONING
+                return Mode.ALIGNING_HEADING, _ALWAYS_NS
+            return Mode.STARTING if self.alignment.plausibility.phase is not Phase.ACTIVE else Mode.ALIGNING, _ALWAYS_NS
+        for mode, since_ns in ((Mode.AIDED, core.last_absolute_ns), (Mode.ODOMETRY, self.last_odometry_ns)):
+            if t_ns - since_ns <= core.aided_ns:
+                return mode, since_ns + core.aided_ns
+        return Mode.DEAD_RECKONING, _ALWAYS_NS
 
     def process(self, aid: Aid, samples: ImuBuffer) -> Decision:
         """Take a measurement valid now (t_ns is aid.t_ns)."""

@@ -42,14 +42,12 @@ _SLOWEST_M_S = 1.0  # whoever is slower may be pushed in any direction
 _SHARPEST = 0.35  # rad: a course that is less well known than this is none
 
 
-def covariance(bank: Hypotheses, config: InitialiseConfig) -> Array:
-    """Of the leading state's error, (15, 15), as it may be published before the alignment: P and what is added to it."""
-    cov = bank.covariance()
+def widen_unaligned(cov: Array, bank: Hypotheses, config: InitialiseConfig) -> None:
+    """P (15, 15) of all headings together, in place, as it may be published before the alignment."""
     down_b = so3.matrix(bank.lead.x[X.Q])[2]
     heading = float(down_b @ cov[E.THETA, E.THETA] @ down_b)
     more = min(8.0 * heading, max(initialise.NO_HEADING**2 - heading, 0.0))
     _widen(cov, down_b, more, math.atan(config.accel_bias_sigma / GRAVITY) ** 2, config.accel_bias_sigma**2)
-    return cov
 
 
 _T, _G, _A, _N = E.THETA.start, E.BG.start, E.BA.start, E.SIZE  # compiled code reads plain integers

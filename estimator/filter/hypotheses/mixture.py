@@ -21,17 +21,22 @@ _HALF_TURN = 3.14  # rad
 
 def covariance(members: list[Hypothesis]) -> Array:
     """Of the leading state's error, (15, 15), over all that show; the first leads."""
-    lead = members[0].filter
-    others = [m for m in members[1:] if m.shows_beside(members[0])] if len(members) > 1 else ()
-    if not others:  # most of the time
-        cov, factor = lead.cov[_OF_STATE], lead.variance_factor
-        return cov.copy() if factor == 1.0 else _scaled(cov, factor)
-    first, *weights = (math.exp(m.weight + m.benefit) for m in (members[0], *others))
-    whole, root = first + sum(weights), math.sqrt(lead.variance_factor)
-    total = first / whole * lead.cov[_OF_STATE]
-    for weight, member in zip(weights, others, strict=True):
-        _mix(total, weight / whole, member.filter.cov, lead.x, member.filter.x, root)
-    return _scaled(total, lead.variance_factor)
+    lead, (first, *others) = members[0].filter, shares(members)
+    total, root = first * lead.cov[_OF_STATE], math.sqrt(lead.variance_factor)
+    for share, member in zip(others, members[1:], strict=True):
+        if share:
+            mix(total, share, member.filter.cov, lead.x, member.filter.x, root)
+    return scaled(total, lead.variance_factor)
+
+
+def shares(members: list[Hypothesis]) -> list[float]:
+    """w_k of each member, which sum to 1; 0 of one that does not show."""
+    if len(members) == 1:  # most of the time
+        return [1.0]
+    lead = members[0]
+    weights = [math.exp(m.weight + m.benefit) if m is lead or m.shows_beside(lead) else 0.0 for m in members]
+    whole = weights[0] + sum(weights[1:])
+    return [weight / whole for weight in weights]
 
 
 def ln_sum(terms: list[float]) -> float:
@@ -40,20 +45,20 @@ def ln_sum(terms: list[float]) -> float:
     return top + math.log(sum(math.exp(term - top) for term in terms))
 
 
-def _scaled(cov: Array, factor: float) -> Array:
+def scaled(cov: Array, factor: float) -> Array:
     """f P (15, 15); an attitude has no sigma beyond half a turn."""
     if factor == 1.0:
         return cov
-    scaled = factor * cov
-    sigma = math.sqrt(max(scaled.diagonal()[E.THETA].tolist()))
+    wider = factor * cov
+    sigma = math.sqrt(max(wider.diagonal()[E.THETA].tolist()))
     if sigma > _HALF_TURN:
-        scaled[E.THETA] *= _HALF_TURN / sigma
-        scaled[:, E.THETA] *= _HALF_TURN / sigma
-    return scaled
+        wider[E.THETA] *= _HALF_TURN / sigma
+        wider[:, E.THETA] *= _HALF_TURN / sigma
+    return wider
 
 
 @njit(cache=True)
-def _mix(total: Array, weight: float, cov: Array, lead: Array, x: Array, root: float) -> None:
+def mix(total: Array, weight: float, cov: Array, lead: Array, x: Array, root: float) -> None:
     """Add weight (P + d d^T / f) of the 15 error states to total (15, 15), in place; cov: (n, n), d = x (-) lead, root: f^1/2."""
     off = local(lead, x)
     for i in range(_N):

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from estimator.filter.alignment import InitialiseConfig, TrackerConfig
-from estimator.filter.gnss_anchor import GnssAnchor
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.tracker import Tracker
 from estimator.sources.base.aid import Aid
 from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
+from estimator.sources.gnss_anchor import GnssAnchor
 from models.frames import Origin
 from models.imu import Coast, ImuNoise
 from models.messages import GnssFix, GnssVelocity, ImuSample, Mode, Reason

@@ -1,0 +1,102 @@
+"""The next IMU sample where nothing else happens: one compiled call a filter.
+
+Nearly every message is one. What does not change from one to the next, weights, mode, limits, is worked out once, behind the
+last message of another kind; whatever happens ends it (History.quiet).
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from estimator.filter.bounds import is_within
+from estimator.filter.hypotheses.mixture import mix, scaled, shares
+from estimator.filter.imu_buffer import ImuBuffer
+from estimator.filter.tracker import Tracker
+from models import imu, sampling
+from models.messages import Array, ImuSample
+from models.state import E, X, sound
+
+_N, _XN = E.SIZE, X.SIZE  # compiled code reads plain integers
+
+
+class Quiet:
+    """A tracker that stands at the newest sample and publishes, with nothing to process, for `left` samples and to until_ns."""
+
+    __slots__ = (
+        "_is_plain", "_late", "_lead", "_limits", "_others", "_root", "_share", "left", "mode", "samples", "tracker", "until_ns",
+    )  # fmt: skip
+
+    def __init__(self, tracker: Tracker, samples: ImuBuffer, left: int) -> None:
+        self.tracker, self.samples, self.left = tracker, samples, left
+        bank = tracker.alignment.bank
+        assert bank is not None
+        self.mode, self.until_ns = tracker.mode_until(samples.newest_ns)
+        self._lead, (self._share, *weights) = bank.lead, shares(bank.members)
+        members = tracker.alignment.members
+        weights += [0.0] * (len(members) - len(bank.members))  # of those without the sensor of the heading
+        self._others = [(member.filter, share) for member, share in zip(members[1:], weights, strict=True)]
+        self._root = math.sqrt(self._lead.variance_factor)
+        self._limits, self._is_plain, self._late = tracker.limits, tracker.shows_mixture, tracker.late_cov
+
+    def take(self, sample: ImuSample) -> tuple[Array, Array] | None:
+        """Put the sample behind the others and go there: nav (16,) and covariance (15, 15) to publish; None: out of bounds."""
+        samples, lead, t_ns, slow = self.samples, self._lead, sample.t_ns, self._lead.slow
+        index, nav, covariance = samples.begin_next(), np.empty(_XN), np.empty((_N, _N))
+        is_good = _lead(
+            lead.x, lead.cov, samples.t_ns, samples.u, samples.known, index, lead.t_ns, t_ns, *sample.gyro_b, *sample.accel_b,
+            lead.constants, slow.tau_s, slow.psd, *self._limits, self._share, nav, covariance,
+        )  # fmt: skip
+        lead.t_ns = self.tracker.core.t_ns = t_ns
+        for eskf, share in self._others:
+            slow = eskf.slow
+            eskf.sound = _other(
+                eskf.x, eskf.cov, samples.t_ns, samples.u, samples.known, index, eskf.t_ns, t_ns, eskf.constants, slow.tau_s,
+                slow.psd, share, self._root, nav, covariance,
+            )  # fmt: skip
+            eskf.t_ns = t_ns
+        samples.end_next(t_ns)
+        self.left -= 1
+        if not is_good:
+            lead.sound = sound(lead.x, lead.cov)
+            return None
+        if self._root != 1.0:
+            covariance = scaled(covariance, lead.variance_factor)
+        if not self._is_plain:
+            covariance = self.tracker.shown_covariance(covariance)
+        elif self._late is not None:
+            covariance += self._late
+        return nav, covariance
+
+
+@njit(cache=True, error_model="numpy")
+def _lead(
+    x: Array, cov: Array, t_ns: NDArray[np.int64], u: Array, known: Array, i: int, from_ns: int, to_ns: int,
+    wx: float, wy: float, wz: float, fx: float, fy: float, fz: float, c: Array, tau: Array, psd: Array,
+    fastest: float, least_down: float, most_down: float, sigma: float, share: float, nav: Array, covariance: Array,
+) -> bool:  # fmt: skip
+    """Sample i (w, f) at to_ns into the buffer, and x, P (n, n) there: nav <- x, covariance <- share P of the 15.
+
+    False: the state is not sound, or may be out of bounds. The rest as imu.propagate and bounds.is_within.
+    """
+    sampling.put(t_ns, u, known, i, i + 1, to_ns, wx, wy, wz, fx, fy, fz)
+    good = imu.advance(x, cov, np.empty((0, 0)), t_ns, u, known, i + 1, i, from_ns, to_ns, c, tau, psd)
+    for k in range(_XN):
+        nav[k] = x[k]
+    for k in range(_N):
+        for j in range(_N):
+            covariance[k, j] = share * cov[k, j]
+    return good and is_within(x, cov, fastest, least_down, most_down, sigma)
+
+
+@njit(cache=True, error_model="numpy")
+def _other(
+    x: Array, cov: Array, t_ns: NDArray[np.int64], u: Array, known: Array, i: int, from_ns: int, to_ns: int,
+    c: Array, tau: Array, psd: Array, share: float, root: float, nav: Array, covariance: Array,
+) -> bool:  # fmt: skip
+    """x, P (n, n) of another hypothesis to sample i, and its share of the covariance (mixture.mix); whether it is sound."""
+    is_sound = imu.advance(x, cov, np.empty((0, 0)), t_ns, u, known, i + 1, i, from_ns, to_ns, c, tau, psd)
+    if share > 0.0:
+        mix(covariance, share, cov, nav, x, root)
+    return bool(is_sound)
