@@ -10,13 +10,15 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Protocol
 
+import msgspec
+
 from estimator.fusion import Fusion, FusionConfig
 from estimator.publish import OutputConfig, Publisher
 from estimator.replay.summary import ReplaySummary, SummaryBuilder
 from estimator.version import version
 from logs.store.parts import PartsReader, files_of
 from logs.store.reader import Attachment, LogError, Record
-from logs.store.recorder import CONFIG_ATTACHMENT, Recorder
+from logs.store.recorder import CONFIG_ATTACHMENT, FINDINGS_ATTACHMENT, Recorder
 from logs.wire import schemas
 from logs.wire.codec import Decoder, is_own_transform
 from models.messages import OdometryDelta, OdometryPose, Output
@@ -29,6 +31,7 @@ OWN_INPUTS = frozenset({  # what stands under our own prefix, and no replay of o
     "/landfix/left/camera_info", "/landfix/right/camera_info",
 })  # fmt: skip
 _PROGRESS_EVERY = 2000  # records
+_FINDINGS = FINDINGS_ATTACHMENT.partition("/")[0]
 
 
 class ReplayConfig(Protocol):
@@ -82,7 +85,9 @@ def replay(
     parts = files_of(source)
     if out.exists() and any(part.exists() and out.samefile(part) for part in parts):
         raise LogError(f"{out}: the output would overwrite the input; name another file after -o")
-    fusion, decoder, publisher, builder = Fusion(config.fusion()), config.decoder(), Publisher(config.output), SummaryBuilder()
+    parameters = config.fusion()
+    fusion, decoder, publisher = Fusion(parameters), config.decoder(), Publisher(config.output)
+    builder = SummaryBuilder(parameters.origin)
     text = config.toml().encode()
     began = time.perf_counter()
     metadata = {"version": version(), "config_sha256": sha256(text).hexdigest()}
@@ -106,7 +111,10 @@ def replay(
                     recorder.write(*encoded, log_time_ns)
             if progress and builder.records % _PROGRESS_EVERY == 0:
                 progress(reader.fraction)
-        kinds = {_kind(attachment) for attachment in kept}
+        if found := builder.findings():
+            kept.append(Attachment(FINDINGS_ATTACHMENT, "application/json", msgspec.json.encode(found)))
+            recorder.attach(*kept[-1])
+        kinds = {_FINDINGS, *(_kind(attachment) for attachment in kept)}
         for attachment in reader.attachments:
             if _kind(attachment) not in kinds:
                 recorder.attach(*attachment)

@@ -6,6 +6,7 @@ from math import isfinite
 import msgspec
 
 from estimator.replay.no_estimate import advice, too_slow
+from logs.findings import Finding, Watch
 from models.messages import (
     AidStatus,
     Estimate,
@@ -19,6 +20,7 @@ from models.messages import (
     PoseFix,
     Reason,
     Reset,
+    Vec3,
 )
 
 _LONGEST_STEP_NS = 1_000_000_000  # a longer gap between estimates is silence, not time in a mode
@@ -47,13 +49,15 @@ class ReplaySummary(msgspec.Struct, frozen=True):
     advice: str = ""  # why there is no estimate and what to do; empty where there is one
     remark: str = ""  # why there is one for less than half of the time, where that is known
     torn_parts: list[str] = []  # files that lack their proper end: read up to their last whole record
+    findings: list[Finding] = []  # the streams at fault, the most likely cause first
 
 
 class SummaryBuilder:
-    """Counts records, inputs and outputs as they pass."""
+    """Counts records, inputs and outputs as they pass. origin: of the map, where it is configured."""
 
-    def __init__(self) -> None:
+    def __init__(self, origin: Vec3 | None = None) -> None:
         self.records = 0
+        self._watch = Watch(origin)
         self._imu = self._positions = self._estimates = self._resets = self._internal = 0
         self._first_ns: int | None = None
         self._last_ns = 0
@@ -75,6 +79,7 @@ class SummaryBuilder:
 
     def step(self, message: Input, outputs: list[Output]) -> None:
         """One input and what it caused."""
+        self._watch.add(message)
         if isinstance(message, ImuSample):
             self._imu += 1
         elif isinstance(message, GnssFix | PoseFix | LandmarkFix):
@@ -112,6 +117,10 @@ class SummaryBuilder:
     def _duration_s(self) -> float:
         return 0.0 if self._first_ns is None else (self._last_ns - self._first_ns) * 1e-9
 
+    def findings(self) -> list[Finding]:
+        """The streams at fault so far."""
+        return self._watch.findings()
+
     def summary(self, elapsed_s: float, torn: list[str], skipped_chunks: int, missing: str, kind: str) -> ReplaySummary:
         """All of it, at the end; kind: of the importer that wrote the log, or empty."""
         fixes: dict[str, Counter[str]] = {}
@@ -141,6 +150,7 @@ class SummaryBuilder:
             first_estimate_s=self._began_s,
             waited_for=self._waited_for,
             torn_parts=torn,
+            findings=self.findings(),
             advice=why,
             remark=f"an estimate for {covered_s:.1f} of {since_s:.1f} s: {slow}" if slow else "",
         )

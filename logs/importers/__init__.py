@@ -13,11 +13,14 @@ from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path, PurePath
 
+from logs.findings import Watch
 from logs.importers.recording import DEFAULTS, ImportOptions, Message, Progress, Recording, Truth
 from logs.importers.summary import ImportSummary
 from logs.store.reader import LogError
 from logs.store.recorder import REFERENCE_ATTACHMENT, Recorder
 from logs.wire.encoding import Encoded, encode_input, encode_truth
+from logs.wire.sensors import SENSORS
+from models.messages import ATTITUDE_TOPIC
 from models.untrusted.boundary import refusing
 
 __all__ = [
@@ -88,30 +91,37 @@ def convert(
     recording = read(kind, source, options, None if progress is None else lambda done: progress(_READING * done))
     counts: dict[str, int] = {}
     start_ns = end_ns = None
+    watch = Watch(recording.settings.origin)
     with Recorder(out, metadata={"imported_from": source.name, "import_kind": kind}) as recorder:
         if recording.reference:  # an attachment, so that a replay hands it on
             recorder.attach(REFERENCE_ATTACHMENT, "text/plain", recording.reference.encode())
-        for k, ((topic, schema, data), arrived_ns) in enumerate(_encoded(recording, source), 1):
+        for k, ((topic, schema, data), arrived_ns) in enumerate(_encoded(recording, source, watch), 1):
             recorder.write(topic, schema, data, arrived_ns)
             counts[topic] = counts.get(topic, 0) + 1
             start_ns = arrived_ns if start_ns is None else start_ns
             end_ns = arrived_ns
             if progress and k % _PROGRESS_EVERY == 0:
                 progress(_READING + (1.0 - _READING) * k / len(recording))
+    findings, notes = tuple(watch.findings()), recording.notes
+    left_out = {ATTITUDE_TOPIC} & set(counts) if any(f.who == SENSORS["magnetometer"].topic for f in findings) else set()
+    if left_out:
+        notes = (*notes, "the autopilot's attitude is not taken to begin with: its heading rests on the magnetometer")
     config = out.with_suffix(".toml")
     try:
-        config.write_text(recording.settings.toml(kind, source, tuple(counts)))
+        config.write_text(recording.settings.toml(kind, source, tuple(t for t in counts if t not in left_out)))
     except OSError as error:
         raise LogError(f"{config}: cannot be written ({error.strerror})") from None
     if progress:
         progress(1.0)
-    return ImportSummary(str(out), str(config), counts, start_ns or 0, end_ns or 0, recording.notes)
+    return ImportSummary(str(out), str(config), counts, start_ns or 0, end_ns or 0, notes, findings=findings)
 
 
-def _encoded(recording: Recording, source: Path) -> Iterator[tuple[Encoded, int]]:
+def _encoded(recording: Recording, source: Path, watch: Watch) -> Iterator[tuple[Encoded, int]]:
     """Messages on the wire, and when they arrived; a number that no message can hold is damage of the log."""
     with refusing(LogError, source):
         for message in recording:
+            if not isinstance(message, Truth):
+                watch.add(message)
             yield encode(message), message.arrived_ns
 
 

@@ -2,6 +2,8 @@
 
 import msgspec
 
+from logs.findings import Finding
+
 
 class TopicRow(msgspec.Struct, frozen=True):
     """A topic of a ROS bag; use: key of [inputs], empty: none; copied: it is in the log."""
@@ -16,7 +18,7 @@ class TopicRow(msgspec.Struct, frozen=True):
 
 
 class ImportSummary(msgspec.Struct, frozen=True):
-    """The log, its configuration, messages by topic with their span, and notes; topics: of a ROS bag."""
+    """The log, its configuration, messages by topic with their span, notes, streams at fault; topics: of a ROS bag."""
 
     out: str
     config: str
@@ -25,6 +27,7 @@ class ImportSummary(msgspec.Struct, frozen=True):
     end_ns: int
     notes: tuple[str, ...]
     topics: tuple[TopicRow, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
     @property
     def seconds(self) -> float:
@@ -34,4 +37,5 @@ class ImportSummary(msgspec.Struct, frozen=True):
     def __str__(self) -> str:
         counts = ", ".join(f"{topic} {n}" for topic, n in self.messages.items())
         lines = [f"{self.seconds:.1f} s: {counts}", f"configuration: {self.config}", *(f"note: {note}" for note in self.notes)]
+        lines += [f"at fault: {finding}" for finding in self.findings]
         return "\n".join(lines)

@@ -5,6 +5,7 @@ from importlib import resources
 
 from logs.evaluation.collected import NoEstimateError
 from logs.report.gather import Gathered
+from logs.report.words import at_fault
 from models import web_page
 from models.web_page import BAD, text
 
@@ -16,8 +17,9 @@ def page(name: str, missing: NoEstimateError, gathered: Gathered) -> str:
     start_ns = min((t.first_ns for t in gathered.traffic.values()), default=0)
     torn = "<p>The log is truncated: read to its last whole record.</p>" if missing.torn else ""
     tables = "".join(map(web_page.table, (topics(gathered, start_ns), _measurements(missing), _remarks(gathered, start_ns))))
+    causes = "".join(f"<p>{text(cause.text)}</p>" for cause in at_fault(missing.attachments))
     body = (
-        f"<h1>{text(name)}</h1><p>{web_page.verdict(_VERDICT, BAD)}</p><p>{text(str(missing))}</p>{torn}"
+        f"<h1>{text(name)}</h1><p>{web_page.verdict(_VERDICT, BAD)}</p>{causes}<p>{text(str(missing))}</p>{torn}"
         f"{tables}"
         '<p class="faint">landfix doctor LOG -c CONFIG checks units, axes and stamps, and says what to do.</p>'
     )

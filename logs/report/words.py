@@ -1,14 +1,19 @@
 """The flight in words: what it was, and a verdict with its reasons."""
 
+from collections.abc import Iterable
 from enum import IntEnum
 from typing import Final, NamedTuple
 
+import msgspec
 import numpy as np
 
 from logs.evaluation.collected import Collected
 from logs.evaluation.metrics import Consistency
 from logs.evaluation.records import AidSummary, Evaluation
+from logs.findings import Finding as Cause
 from logs.report.gather import Gathered
+from logs.store.reader import Attachment
+from logs.store.recorder import FINDINGS_ATTACHMENT
 from models.messages import Mode, Reason
 from models.radius import horizontal_radius
 from models.web_page import BAD, GOOD, USABLE
@@ -79,7 +84,7 @@ def duration(s: float) -> str:
 
 
 def findings(e: Evaluation, collected: Collected, gathered: Gathered) -> list[Finding]:
-    """What speaks for the estimate and against it, the worst first."""
+    """What speaks for the estimate and against it: streams at fault, then the worst first."""
     found = [
         *_consistency(e),
         *_behaviour(e, gathered),
@@ -88,7 +93,17 @@ def findings(e: Evaluation, collected: Collected, gathered: Gathered) -> list[Fi
         *_vision(gathered),
         *_log(e, collected, gathered),
     ]
-    return sorted(found, key=lambda f: -f.level)
+    return [*at_fault(collected.attachments), *sorted(found, key=lambda f: -f.level)]
+
+
+def at_fault(attachments: Iterable[Attachment]) -> list[Finding]:
+    """The streams at fault that a replay found; they come first, for the rest may follow from them."""
+    data = next((a.data for a in attachments if a.name == FINDINGS_ATTACHMENT), b"[]")
+    try:
+        causes = msgspec.json.decode(data, type=list[Cause])
+    except msgspec.DecodeError:
+        return []
+    return [Finding(Level.WRONG if cause.unfit else Level.WARNING, f"at fault: {cause}") for cause in causes]
 
 
 def _consistency(e: Evaluation) -> list[Finding]:

@@ -17,7 +17,7 @@ from logs.evaluation.records import Evaluation
 from logs.report import no_estimate
 from logs.report.gather import Gathered
 from logs.report.page import Illustrations, Material, page
-from logs.report.words import findings
+from logs.report.words import at_fault, findings
 from logs.store.reader import LogError, check_output
 
 _MOST: Final = 50_000
@@ -62,7 +62,7 @@ def write(
         collected = _read(log, truth_topic, progress, gathered)
     except NoEstimateError as missing:
         size = _save(out, no_estimate.page(log.name, missing, gathered))
-        return Page(str(out), size, "no estimate", [str(missing)])
+        return Page(str(out), size, "no estimate", [*(cause.text for cause in at_fault(missing.attachments)), str(missing)])
     return compose(
         collected, gathered, log.name, out, outage_s=outage_s, without_odometry=without_odometry, illustrate=illustrate
     )

@@ -16,6 +16,7 @@ from logs.wire.schemas import COMPRESSED_IMAGE, IMAGE, is_known, schema_text, ty
 
 METADATA_NAME: Final = "landfix"
 CONFIG_ATTACHMENT: Final = "config.toml"  # what the estimator was configured with
+FINDINGS_ATTACHMENT = "findings/findings.json"  # streams at fault, as a replay found them
 REFERENCE_ATTACHMENT: Final = "reference.txt"  # says what /truth is where it is no ground truth
 FLUSH_NS: Final = 100_000_000  # of log time
 CHUNK_BYTES: Final = 64 * 1024

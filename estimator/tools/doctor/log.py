@@ -11,7 +11,7 @@ from estimator.replay.summary import SummaryBuilder
 from estimator.sources.aids import aid_of
 from estimator.sources.base.aid import Aid, Refusal
 from estimator.tools.doctor.machine import Check, judge
-from logs.findings import Stream, findings
+from logs.findings import Watch
 from logs.store.reader import LogError, LogReader
 from logs.store.recorder import METADATA_NAME
 from logs.wire.sensors import SENSORS
@@ -68,7 +68,7 @@ def log(path: Path, config: Config, progress: Callable[[float], None] | None = N
     """All checks of one log."""
     topics: dict[str, _Topic] = {}
     imu: dict[str, list[tuple[float, ...]]] = {}
-    decoder, sources, alignment = config.decoder(), config.fusion(), _Alignment(config)
+    decoder, sources, alignment, watch = config.decoder(), config.fusion(), _Alignment(config), Watch(config.map.origin)
     try:
         with LogReader(path) as reader:
             for count, record in enumerate(reader):
@@ -76,6 +76,7 @@ def log(path: Path, config: Config, progress: Callable[[float], None] | None = N
                 message = decoder.decode(record.topic, record.schema, record.data, record.log_time_ns)
                 if message is not None:
                     topic.add(message, aid_of(message, sources))
+                    watch.add(message)
                     alignment.step(message, record.log_time_ns)
                 if isinstance(message, ImuSample):
                     imu.setdefault(message.topic, []).append((*message.gyro_b, *message.accel_b))
@@ -94,7 +95,7 @@ def log(path: Path, config: Config, progress: Callable[[float], None] | None = N
     )
     checks = [judge("log", found, warn=torn or skipped > 0, advice="landfix recover BROKEN.mcap -o WHOLE.mcap")]
     checks += _inputs(topics, config)
-    checks += _at_fault(topics, imu)
+    checks += _at_fault(watch)
     for name, topic in sorted(topics.items()):
         if topic.stamps or topic.bad:
             checks += _stream(name, topic)
@@ -152,19 +153,10 @@ def _inputs(topics: dict[str, _Topic], config: Config) -> list[Check]:
     return checks
 
 
-def _at_fault(topics: dict[str, _Topic], imu: dict[str, list[tuple[float, ...]]]) -> list[Check]:
-    """The streams that cannot be navigated by, each with its cause."""
-    streams = {
-        name: Stream(
-            np.array(topic.stamps) * 1e-9,
-            np.array(topic.arrivals) * 1e-9,
-            np.array(imu.get(name, [])).reshape(len(topic.stamps), -1),
-        )
-        for name, topic in topics.items()
-        if topic.stamps
-    }
+def _at_fault(watch: Watch) -> list[Check]:
+    """The streams at fault, each with its cause, the most likely first."""
     return [
-        judge(f"{f.who} at fault", f"since {f.since_s:.1f} s: {f.what}", fail=True, advice=f.advice) for f in findings(streams)
+        judge(f"{f.who} at fault", f"since {f.since_s:.1f} s: {f.what}", fail=True, advice=f.advice) for f in watch.findings()
     ]
 
 

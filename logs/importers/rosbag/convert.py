@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
+from logs.findings import Watch
 from logs.importers.rosbag.bag import Bag
 from logs.importers.rosbag.choose import Choice, choose
 from logs.importers.rosbag.survey import STAMPED, TWIST_STAMPED, Survey, stamped, survey
@@ -15,6 +16,7 @@ from logs.importers.summary import ImportSummary
 from logs.store.reader import LogError, Record, check_output
 from logs.store.recorder import Recorder
 from logs.wire import schemas
+from logs.wire.codec import Decoder, ImuMounting, Topics
 
 _CLOCKS_NS: Final = 1_000_000_000  # stamps that differ from those of the IMU by more are of another clock
 _NO_COVARIANCE: Final = bytes(8 * 36)  # what a TwistStamped lacks to be a TwistWithCovarianceStamped
@@ -38,12 +40,17 @@ def convert(source: Path, out: Path, progress: Callable[[float], None] | None = 
     shift_ns, restamp = _clocks(choice, found, notes)
     wanted = frozenset(row.topic for row in choice.rows if row.copied)
     counts: dict[str, int] = {}
+    mounting = ImuMounting("frd" if choice.axes == "frd" else "flu", *choice.mounting_deg)
+    decoder, watch = Decoder(Topics.of(choice.inputs), mounting), Watch()
     start_ns = end_ns = 0
     with Recorder(out, metadata={"imported_from": source.name, "import_kind": "rosbag"}) as recorder:
         for record in _reported(bag, wanted, lambda f: report(_READING + (1.0 - _READING) * f)):
             end_ns = record.log_time_ns + shift_ns
             start_ns = start_ns or end_ns
-            recorder.write(*_message(record, end_ns if record.topic in restamp else None), end_ns)
+            topic, schema, data = _message(record, end_ns if record.topic in restamp else None)
+            recorder.write(topic, schema, data, end_ns)
+            if (message := decoder.decode(topic, schema, data, end_ns)) is not None:
+                watch.add(message)
             counts[record.topic] = counts.get(record.topic, 0) + 1
     config = out.with_suffix(".toml")
     try:
@@ -51,7 +58,8 @@ def convert(source: Path, out: Path, progress: Callable[[float], None] | None = 
     except OSError as error:
         raise LogError(f"{config}: cannot be written ({error.strerror})") from None
     report(1.0)
-    return ImportSummary(str(out), str(config), counts, start_ns, end_ns, tuple(notes), tuple(choice.rows))
+    rows, findings = tuple(choice.rows), tuple(watch.findings())
+    return ImportSummary(str(out), str(config), counts, start_ns, end_ns, tuple(notes), rows, findings)
 
 
 def _reported(bag: Bag, wanted: frozenset[str] | None, report: Callable[[float], None]) -> Iterator[Record]:

@@ -1,0 +1,93 @@
+"""Values that stand still while the vehicle does not: one reading repeated under new stamps, copies, zeros."""
+
+from typing import Final
+
+import numpy as np
+
+from logs.findings.streams import FIX, IMU, POSE, VELOCITY, Cause, Stream, runs
+from models.messages import Array
+
+_HELD_S: Final = 2.0
+_IMU_HELD_S: Final = 0.2
+_LIVELY: Final = 0.5  # of the readings differ from the one before
+_MOVING_M_S: Final = 1.0
+_MOVED_M: Final = 5.0  # while it was held
+_EVIDENCE: Final = (IMU, FIX, VELOCITY, POSE)  # of which copies count
+_EARTH_M: Final = 111_320.0  # a degree of latitude
+
+
+def zero(stream: Stream) -> Cause | None:
+    """Every reading of a sensor is exactly zero; a body may have no speed, but no field is 0."""
+    if stream.kind in (FIX, VELOCITY, "velocity_body") or stream.values.any():
+        return None
+    return Cause("all its readings are 0", float(stream.arrived_s[0]), "its driver gives no data: mend it, or leave it out")
+
+
+def held(stream: Stream, imu: Stream | None) -> Cause | None:
+    """A reading is repeated to the bit for > 2 s (an IMU's for > 0.2 s) while the vehicle moves, and was not before."""
+    same = np.all(np.diff(stream.values[:, _measured(stream)], axis=0) == 0.0, axis=1)
+    spans = runs(same)
+    if not len(spans):
+        return None
+    long_s = stream.arrived_s[spans[:, 1]] - stream.arrived_s[spans[:, 0]]
+    k = int(np.argmax(long_s))
+    first, last = spans[k].tolist()
+    outside = np.concatenate([same[:first], same[last:]])
+    usual_s = float(np.quantile(np.delete(long_s, k), 0.9)) if len(long_s) > 5 else 0.0
+    if long_s[k] < max(_IMU_HELD_S if stream.kind == IMU else _HELD_S, 5.0 * usual_s) or last - first < 3:
+        return None
+    if len(outside) < 10 or 1.0 - outside.mean() < _LIVELY or not _moves(stream, imu, first, last):
+        return None
+    what = f"it repeats one reading for {long_s[k]:.1f} s under new stamps"
+    return Cause(what, float(stream.arrived_s[first]), "its sender holds the last value: let it be silent then")
+
+
+def copies(stream: Stream, imu: Stream | None) -> Cause | None:
+    """Each reading stands m >= 2 times, under stamps of its own, over the whole stream."""
+    if stream.kind not in _EVIDENCE:
+        return None
+    same = np.all(np.diff(stream.values[:, _measured(stream)], axis=0) == 0.0, axis=1)
+    new_stamp = np.diff(stream.t_s) > 0.0
+    changes = np.flatnonzero(~same)
+    if len(changes) < 10 or not new_stamp.mean() > _LIVELY:
+        return None
+    times = float(np.median(np.diff(changes)))
+    if times < 2.0 or np.mean(same & new_stamp) < 0.4 or not _moves(stream, imu, 0, len(same)):
+        return None
+    hz = len(changes) / max(float(np.ptp(stream.arrived_s)), 1e-9)
+    what = f"each reading stands {times:.0f} times under stamps of its own: {hz:.0f} Hz repeated"
+    return Cause(what, float(stream.arrived_s[0]), "send each measurement once: copies count as evidence of their own")
+
+
+def _measured(stream: Stream) -> slice:
+    """The columns that are measured."""
+    return slice(0, 3) if stream.kind == FIX else slice(None)
+
+
+def _moves(stream: Stream, imu: Stream | None, first: int, last: int) -> bool:
+    """A receiver: at > 1 m/s just before, or 5 m away behind it; others: most samples of the IMU change meanwhile."""
+    if stream.kind == IMU:
+        return True
+    if stream.kind == VELOCITY:
+        return float(np.linalg.norm(stream.values[first])) > _MOVING_M_S
+    if stream.kind == FIX:
+        after = min(last + 1, len(stream.t_s) - 1)
+        speed = max(_speed(stream, max(0, first - 10), first), _speed(stream, first, last))
+        return speed > _MOVING_M_S or _way(stream, last, after) > _MOVED_M
+    if imu is None:
+        return False
+    rows = (imu.arrived_s >= stream.arrived_s[first]) & (imu.arrived_s <= stream.arrived_s[last])
+    samples: Array = imu.values[rows]
+    return len(samples) > 3 and float(np.mean(np.any(np.diff(samples, axis=0) != 0.0, axis=1))) > _LIVELY
+
+
+def _speed(fixes: Stream, first: int, last: int) -> float:
+    """Of a straight line from the first to the last row, m/s."""
+    dt = float(fixes.t_s[last] - fixes.t_s[first])
+    return _way(fixes, first, last) / dt if dt > 0.2 else 0.0
+
+
+def _way(fixes: Stream, first: int, last: int) -> float:
+    """Of a straight line from the first to the last row, m."""
+    east = _EARTH_M * np.cos(np.radians(fixes.values[first, 0]))
+    return float(np.linalg.norm((fixes.values[last, :2] - fixes.values[first, :2]) * [_EARTH_M, east]))

@@ -1,0 +1,159 @@
+"""Positions against each other, against the velocity of the receiver, and against the origin of the map."""
+
+from typing import Final
+
+import numpy as np
+
+from logs.findings.relation import Relation, relation
+from logs.findings.streams import Cause, Stream
+from models.frames import Origin
+from models.messages import Array, Vec3
+
+_FAR_M: Final = 1e6
+_NEAR_M: Final = 2e5
+_STEP_S: Final = 1.0
+_LONGEST_S: Final = 6.0
+_LEAST_STEPS: Final = 8
+_LEAST_M: Final = 1.0  # RMS of a step: a receiver's noise is less
+_SCATTER: Final = 8.0  # times the reported accuracy
+_SCATTER_M: Final = 3.0
+_PRESSURE_PA: Final = (2e4, 1.15e5)
+_SPEED_UNITS: Final = ((3.6, "km/h"), (1.94384, "knots"), (100.0, "cm/s"), (1000.0, "mm/s"), (2.23694, "mph"))
+_LENGTH_UNITS: Final = ((100.0, "centimetres"), (1000.0, "millimetres"), (3.28084, "feet"), (1e-3, "kilometres"))
+
+
+def far(stream: Stream, origin: Vec3 | None) -> Cause | None:
+    """Fixes > 1,000 km from [map] origin, or all at 0, 0."""
+    lat, lon, alt = np.median(stream.values[:, :3], axis=0).tolist()
+    since_s = float(stream.arrived_s[0])
+    if lat == 0.0 and lon == 0.0:
+        return Cause("its fixes are at latitude 0, longitude 0", since_s, "the receiver has no fix: let it report status -1")
+    if abs(lat) > 90.0 or abs(lon) > 360.0:
+        return Cause(f"latitude {lat:.6g}, longitude {lon:.6g} are no degrees", since_s, _swapped(lat, lon) or "send degrees")
+    if origin is None or _distance(origin, lat, lon) < _FAR_M:
+        return None
+    others = {
+        "latitude and longitude are exchanged": (lon, lat),
+        "the longitude has the wrong sign": (lat, -lon),
+        "the latitude has the wrong sign": (-lat, lon),
+        "both latitude and longitude have the wrong sign": (-lat, -lon),
+        "latitude and longitude are in radians": (np.degrees(lat), np.degrees(lon)),
+    }
+    names = [name for name, (a, b) in others.items() if abs(a) <= 90.0 and _distance(origin, a, b) < _NEAR_M]
+    what = names[0] if names else f"its fixes are {1e-3 * _distance(origin, lat, lon):.0f} km from [map] origin"
+    advice = (
+        "mend the driver of the receiver"
+        if names
+        else f"set [map] origin = [{lat:.6f}, {lon:.6f}, {alt:.1f}], or mend the receiver"
+    )
+    return Cause(what, since_s, advice)
+
+
+def scattered(stream: Stream) -> Cause | None:
+    """|p_k - (p_k-1 + p_k+1) / 2| > 8 x the reported accuracy of most fixes in 4 s: jammed, or the accuracy is not its own."""
+    t, p = positions(stream)
+    sigma = stream.in_order().values[:, 3]
+    if len(t) < _LEAST_STEPS or not sigma.any():
+        return None
+    off = np.linalg.norm(p[1:-1] - 0.5 * (p[:-2] + p[2:]), axis=1)[:, None]
+    even = np.diff(t)[1:] < 1.5 * np.diff(t)[:-1]
+    wide = (off[:, 0] > np.maximum(_SCATTER * sigma[1:-1], _SCATTER_M)) & (sigma[1:-1] > 0.0) & even
+    window = max(_LEAST_STEPS, round(4.0 / max(float(np.median(np.diff(t))), 1e-3)))
+    if len(wide) < window:
+        return None
+    share = np.convolve(wide, np.ones(window) / window, "valid")
+    if share.max() < 0.6:
+        return None
+    first = int(np.argmax(share > 0.6))
+    scatter = float(np.median(off[first : first + window]))
+    what = f"its positions scatter by {scatter:.1f} m while it reports {float(np.median(sigma)):.2g} m"
+    return Cause(what, stream.arrival_at(float(t[first])), "the receiver is jammed or shadowed, or the accuracy is not its own")
+
+
+def positions(stream: Stream) -> tuple[Array, Array]:
+    """Stamps (n,) [s] and positions (n, 3) [m]: NED about the first fix, or p_n as they are."""
+    ordered = stream.in_order()
+    if stream.kind != "gnss":
+        return ordered.t_s, ordered.values[:, :3]
+    lla = ordered.values[:, :3]
+    if not len(lla):
+        return ordered.t_s, lla
+    radius = np.radians(1.0) * 6_371_000.0
+    east = radius * np.cos(np.radians(lla[0, 0]))
+    return ordered.t_s, (lla - lla[0]) * [radius, east, -1.0]
+
+
+def velocity_relation(fixes: Stream, velocity: Stream) -> Relation | None:
+    """Way between fixes as a function of the velocity's integral, north and east; None: it moves too little."""
+    ordered = velocity.in_order()
+    if len(ordered.t_s) < _LEAST_STEPS:
+        return None
+    mean = 0.5 * (ordered.values[1:] + ordered.values[:-1])
+    way = np.concatenate([np.zeros((1, 3)), np.cumsum(mean * np.diff(ordered.t_s)[:, None], axis=0)])
+    return _related((ordered.t_s, way), positions(fixes), 2)
+
+
+def position_relation(fixes: Stream, others: Stream) -> Relation | None:
+    """Way of the other source as a function of that between fixes, north and east."""
+    return _related(positions(fixes), positions(others), 2)
+
+
+def of_velocity(found: Relation) -> str:
+    """What is wrong between position (b) and velocity (a)."""
+    if found.mirrored:
+        (nn, ne), (_, ee) = found.O
+        if abs(ne) > 0.8:
+            return "north and east are exchanged"
+        return "east has the wrong sign" if nn > 0.8 and ee < -0.8 else "north has the wrong sign" if nn < -0.8 else "mirrored"
+    if found.angle_deg > 10.0:
+        return "its signs are reversed" if found.angle_deg > 165.0 else f"turned by {found.angle_deg:.0f} degrees"
+    return _unit(1.0 / found.scale, _SPEED_UNITS)
+
+
+def of_position(found: Relation) -> str:
+    """What is wrong with a position (b) against the fixes (a)."""
+    named = of_velocity(found)
+    return _unit(found.scale, _LENGTH_UNITS) if not found.mirrored and found.angle_deg <= 10.0 else named
+
+
+def pressure(stream: Stream) -> Cause | None:
+    """A barometer whose median is not that of the air in Pa."""
+    usual = float(np.median(stream.values))
+    if _PRESSURE_PA[0] < usual < _PRESSURE_PA[1]:
+        return None
+    unit = next((name for factor, name in ((100.0, "hPa"), (1e3, "kPa"), (3386.4, "inHg"), (0.1, "0.1 Pa"))
+                 if 5e4 < factor * usual < _PRESSURE_PA[1]), "")  # fmt: skip
+    what = f"it reads {usual:.6g} Pa" + (f": it is in {unit}" if unit else ": that is no pressure of the air")
+    return Cause(what, float(stream.arrived_s[0]), "send pascal")
+
+
+def _unit(factor: float, units: tuple[tuple[float, str], ...]) -> str:
+    name = next((name for size, name in units if abs(np.log(max(factor, 1e-12) / size)) < 0.08), "")
+    return f"{factor:.3g} times too large" + (f": {name}" if name else "")
+
+
+def _related(a: tuple[Array, Array], b: tuple[Array, Array], axes: int) -> Relation | None:
+    """Steps of b (its own stamps, >= 1 s apart) as a function of those of a at the same times."""
+    (t_a, p_a), (t_b, p_b) = a, b
+    if len(t_a) < 2 or len(t_b) < 2:
+        return None
+    _, rows = np.unique(np.floor((t_b - t_b[0]) / _STEP_S), return_index=True)
+    t, q = t_b[rows], p_b[rows]
+    at = np.stack([np.interp(t, t_a, p, np.nan, np.nan) for p in p_a.T], axis=1)
+    hole = np.interp(t, t_a[1:], np.diff(t_a)) > _LONGEST_S
+    at[hole] = np.nan
+    da, db = np.diff(at, axis=0)[:, :axes], np.diff(q, axis=0)[:, :axes]
+    sound = (np.diff(t) < _LONGEST_S) & np.isfinite(da).all(axis=1)
+    da, db = da[sound], db[sound]
+    if len(da) < _LEAST_STEPS or min(np.mean(np.sum(da**2, axis=1)), np.mean(np.sum(db**2, axis=1))) ** 0.5 < _LEAST_M:
+        return None
+    return relation(da, db)
+
+
+def _distance(origin: Vec3, lat: float, lon: float) -> float:
+    """Along the chord, m."""
+    return float(np.linalg.norm(Origin(*origin).to_ned(float(lat), float(lon), origin[2])))
+
+
+def _swapped(lat: float, lon: float) -> str:
+    return "latitude and longitude are exchanged" if abs(lon) <= 90.0 and abs(lat) <= 180.0 else ""

@@ -1,0 +1,100 @@
+"""What the causes are found in: the stamps, times of arrival and values of each topic."""
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple, TypeAlias
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from models.messages import (
+    Array,
+    AttitudePrior,
+    GnssFix,
+    GnssVelocity,
+    ImuSample,
+    Input,
+    LandmarkFix,
+    OdometryPose,
+    PoseFix,
+    Reading,
+)
+
+IMU, FIX, VELOCITY, POSE, ODOMETRY, ATTITUDE = "imu", "gnss", "gnss_velocity", "pose_fix", "odometry", "attitude"
+TURNING: tuple[str, ...] = (POSE, ODOMETRY, ATTITUDE)  # their last four values are a quaternion q_nb or q_ob
+
+
+class Cause(NamedTuple):
+    """What is wrong with a stream; since_s: on the clock of arrival; advice: what to set or mend; unfit: useless as an IMU."""
+
+    what: str
+    since_s: float
+    advice: str
+    unfit: bool = False
+
+
+class Finding(msgspec.Struct, frozen=True):
+    """who: the topic at fault; since_s: after the log's first arrival; advice: what to set or mend.
+
+    unfit: the log cannot be navigated by.
+    """
+
+    who: str
+    what: str
+    since_s: float
+    advice: str
+    unfit: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.who} since {self.since_s:.1f} s: {self.what}; {self.advice}"
+
+
+class Stream(NamedTuple):
+    """A topic's messages in the order of arrival: stamps and times of arrival (n,) [s], values (n, k) as `row` has them."""
+
+    kind: str
+    t_s: Array
+    arrived_s: Array
+    values: Array
+
+    def in_order(self) -> "Stream":
+        """The rows with finite values, each stamp once, in the order of the stamps."""
+        rows = np.flatnonzero(np.isfinite(self.values).all(axis=1))
+        t_s, first = np.unique(self.t_s[rows], return_index=True)
+        rows = rows[first]
+        return Stream(self.kind, t_s, self.arrived_s[rows], self.values[rows])
+
+    def arrival_at(self, t_s: float) -> float:
+        """When the message stamped nearest to t_s arrived."""
+        return float(self.arrived_s[int(np.argmin(np.abs(self.t_s - t_s)))])
+
+
+Streams: TypeAlias = Mapping[str, Stream]
+OfStream: TypeAlias = Callable[[Stream], Cause | None]
+
+
+def row(message: Input) -> tuple[str, tuple[float, ...]] | None:
+    """Kind and values of a message: gyro, accel; lat, lon, alt, sigma; v_n; p, q; q; a reading's own. None: it has none."""
+    match message:
+        case ImuSample():
+            return IMU, (*message.gyro_b, *message.accel_b)
+        case GnssFix() if message.status >= 0:
+            variance = 0.0 if message.covariance_n is None else float(message.covariance_n[0, 0] + message.covariance_n[1, 1])
+            return FIX, (message.lat_deg, message.lon_deg, message.alt_m, variance**0.5 if variance > 0.0 else 0.0)
+        case GnssVelocity():
+            return VELOCITY, message.v_n
+        case PoseFix() | LandmarkFix():
+            return POSE, (*message.p_n, *message.q_nb_wxyz)
+        case OdometryPose():
+            return ODOMETRY, (*message.p_o, *message.q_ob_wxyz)
+        case AttitudePrior():
+            return ATTITUDE, message.q_nb_wxyz
+        case Reading():
+            return message.kind, message.values
+    return None
+
+
+def runs(same: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """First and last row (m, 2) of each run of rows that equal the row before; same (n - 1,) bool."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
+    return edges.reshape(-1, 2)

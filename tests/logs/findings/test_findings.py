@@ -1,0 +1,204 @@
+"""Each fault of stamps, values or axes is named at the stream that has it; sound streams are not accused."""
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from logs.findings import Finding
+from logs.findings.judge import judged
+from logs.findings.streams import FIX, IMU, ODOMETRY, POSE, VELOCITY, Stream
+from models.frames import GRAVITY
+from models.messages import Array, Vec3
+
+ORIGIN = (47.4, 8.5, 500.0)
+RATES = {"/imu": (IMU, 100.0), "/gnss": (FIX, 5.0), "/gnss/velocity": (VELOCITY, 5.0), "/pose_fix": (POSE, 2.0),
+         "/odometry": (ODOMETRY, 10.0), "/mag": ("magnetometer", 10.0), "/baro": ("baro", 10.0)}  # fmt: skip
+Streams = dict[str, Stream]
+Fault = Callable[[Stream, np.random.Generator], tuple[Stream, str]]
+
+
+def _values(kind: str, t: Array, rng: np.random.Generator, lean: float) -> Array:
+    """Of a vehicle that weaves along a curve; lean: rad, amplitude of roll and pitch."""
+    p = np.stack([60.0 * np.sin(0.2 * t), 40.0 * np.sin(0.13 * t + 1.0), -20.0 - 5.0 * np.sin(0.3 * t)], axis=1)
+    R = _attitude(t, lean)
+    q = (R * Rotation.from_rotvec(rng.normal(scale=0.005, size=(len(t), 3)))).as_quat()[:, [3, 0, 1, 2]]
+    if kind == IMU:
+        h = 1e-3
+        rate = (_attitude(t - h, lean).inv() * _attitude(t + h, lean)).as_rotvec() / (2 * h)
+        force = R.inv().apply([0.0, 0.0, -GRAVITY])
+        return np.hstack([rate + rng.normal(scale=0.01, size=rate.shape), force + rng.normal(scale=0.1, size=force.shape)])
+    if kind == FIX:
+        lla = ORIGIN + (p + rng.normal(scale=0.5, size=p.shape)) / [111_195.0, 111_195.0 * np.cos(np.radians(ORIGIN[0])), -1.0]
+        return np.column_stack([lla, np.full(len(t), 0.8)])
+    if kind == VELOCITY:
+        return np.gradient(p, t, axis=0) + rng.normal(scale=0.1, size=p.shape)
+    if kind == "magnetometer":
+        return np.array([3e-6, -5e-6, 1e-6]) + R.inv().apply([2.1e-5, 1e-6, 4.3e-5]) + rng.normal(scale=2e-7, size=p.shape)
+    if kind == "baro":
+        return 95_000.0 + 12.0 * p[:, 2:] + rng.normal(scale=5.0, size=(len(t), 1))
+    return np.hstack([p + rng.normal(scale=0.1, size=p.shape), q])
+
+
+def _attitude(t: Array, lean: float) -> Rotation:
+    angles = np.stack([0.6 * t + np.sin(0.5 * t), lean * np.sin(0.9 * t), lean * np.sin(1.3 * t + 1.0)], axis=1)
+    return Rotation.from_euler("ZYX", angles)
+
+
+def _sound(seed: int, lean: float = 0.35) -> Streams:
+    return dict(_flight(seed, lean))
+
+
+@cache
+def _flight(seed: int, lean: float) -> Streams:
+    rng = np.random.default_rng(seed)
+
+    def stream(kind: str, hz: float) -> Stream:
+        t = np.arange(0.0, 40.0, 1.0 / hz)
+        return Stream(kind, t, t + 0.02 + rng.exponential(0.005, len(t)), _values(kind, t, rng, lean))
+
+    return {topic: stream(*given) for topic, given in RATES.items()}
+
+
+def _found(streams: Streams, origin: Vec3 | None = ORIGIN) -> list[Finding]:
+    return [finding for _, finding in sorted(judged(streams, origin), key=lambda item: item[0])]
+
+
+def _step(s: Stream, rng: np.random.Generator) -> tuple[Stream, str]:
+    step = rng.choice([-1.0, 1.0]) * round(rng.uniform(0.3, 50.0), 1)
+    return s._replace(t_s=s.t_s + step * (s.t_s > rng.uniform(8.0, 32.0))), f"jump by {step:+.2f}"
+
+
+def _speed(s: Stream, rng: np.random.Generator) -> tuple[Stream, str]:
+    k = rng.choice([0.5, 0.9, 1.1, 2.0])
+    return s._replace(t_s=k * s.t_s), f"runs at {k:.3g}"
+
+
+def _wrap(s: Stream, rng: np.random.Generator) -> tuple[Stream, str]:
+    return s._replace(t_s=s.t_s - 4294.967296 * (s.t_s > rng.uniform(8.0, 32.0))), "microseconds has wrapped"
+
+
+def _nanoseconds(s: Stream, _: np.random.Generator) -> tuple[Stream, str]:
+    return s._replace(t_s=s.t_s % 1.0), "only the nanoseconds"
+
+
+def _ahead(s: Stream, _: np.random.Generator) -> tuple[Stream, str]:
+    return s._replace(t_s=s.t_s + 18.0), "GPS time against UTC"
+
+
+def _batched(s: Stream, rng: np.random.Generator) -> tuple[Stream, str]:
+    size = int(rng.integers(4, 30))
+    last = np.minimum(np.arange(len(s.t_s)) // size * size + size - 1, len(s.t_s) - 1)
+    t_s = s.t_s[last] + 1e-5 * (np.arange(len(s.t_s)) % size)
+    return s._replace(t_s=t_s, arrived_s=t_s + 0.01), f"batches of {size}"
+
+
+def _digits(s: Stream, _: np.random.Generator) -> tuple[Stream, str]:
+    return s._replace(t_s=(s.t_s + 1e9).astype(np.float32).astype(float) - 1e9), "stamps"
+
+
+def _dead(s: Stream, rng: np.random.Generator) -> tuple[Stream, str]:
+    axis, values = int(rng.integers(6)), s.values.copy()
+    rows = slice(int(rng.uniform(0.05, 0.8) * len(values)), None)
+    values[rows, axis] = rng.choice([0.0, values[rows.start, axis]])
+    return s._replace(values=values), f"{'gyroscope' if axis < 3 else 'accelerometer'} {'xyz'[axis % 3]} reads"
+
+
+def _stuck(s: Stream, _: np.random.Generator) -> tuple[Stream, str]:
+    values, n = s.values.copy(), len(s.values)
+    values[n // 2 : n // 2 + n // 4] = values[n // 2]
+    return s._replace(values=values), "repeats one reading"
+
+
+def _silent(s: Stream, _: np.random.Generator) -> tuple[Stream, str]:
+    rows = (s.t_s < 15.0) | (s.t_s > 19.0)
+    return Stream(s.kind, s.t_s[rows], s.arrived_s[rows], s.values[rows]), "silent for 4.0 s"
+
+
+def _of(factor: list[float], words: str) -> Fault:
+    return lambda s, _: (s._replace(values=s.values * factor), words)
+
+
+def _of_columns(columns: list[int], words: str) -> Fault:
+    return lambda s, _: (s._replace(values=s.values[:, columns]), words)
+
+
+def _camera(s: Stream, _: np.random.Generator) -> tuple[Stream, str]:
+    R = Rotation.from_quat(s.values[:, [4, 5, 6, 3]]) * Rotation.from_euler("z", 90.0, degrees=True)
+    return s._replace(values=np.hstack([s.values[:, :3], R.as_quat()[:, [3, 0, 1, 2]]])), "turned by"
+
+
+def _jammed(s: Stream, rng: np.random.Generator) -> tuple[Stream, str]:
+    noise = rng.normal(scale=3e-4, size=(len(s.t_s), 2)) * (s.t_s > 20.0)[:, None]
+    return s._replace(values=s.values + np.hstack([noise, 0.0 * noise])), "scatter"
+
+
+ONE, DEG = [1.0] * 3, 57.29578
+FAULTS = [
+    *(("/imu", f) for f in (_step, _speed, _wrap, _nanoseconds, _ahead, _batched, _digits, _dead, _stuck, _silent)),
+    *(("/gnss", f) for f in (_step, _speed, _wrap, _nanoseconds, _ahead, _jammed, _stuck)),
+    *(("/pose_fix", f) for f in (_step, _speed, _stuck, _camera)),
+    *(("/odometry", f) for f in (_step, _stuck, _camera)),
+    *((topic, _stuck) for topic in ("/mag", "/baro", "/gnss/velocity")),
+    ("/imu", _of([DEG] * 3 + ONE, "deg/s")),
+    ("/imu", _of(ONE + [1.0 / GRAVITY] * 3, "it is in g")),
+    ("/imu", _of([1.0, -1.0, -1.0] * 2, "other convention")),
+    ("/imu", _of([1.0, 1.0, -1.0, *ONE], "mirrored")),
+    ("/imu", _of_columns([1, 0, 2, 3, 4, 5], "mirrored")),
+    ("/gnss", _of_columns([1, 0, 2, 3], "exchanged")),
+    ("/gnss", _of([1.0, -1.0, 1.0, 1.0], "longitude has the wrong sign")),
+    ("/gnss/velocity", _of([3.6] * 3, "km/h")),
+    ("/gnss/velocity", _of_columns([1, 0, 2], "exchanged")),
+    ("/pose_fix", _of([100.0] * 3 + [1.0] * 4, "centimetres")),
+    ("/mag", _of([1.0, -1.0, 1.0], "mirrored in y")),
+    ("/mag", _of([0.0] * 3, "all its readings are 0")),
+    ("/mag", _of([1e4] * 3, "gauss")),
+    ("/baro", _of([0.01], "hPa")),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("topic", "fault"), FAULTS)
+def test_the_stream_at_fault_is_named_with_its_cause(topic: str, fault: Fault) -> None:
+    streams = _sound(0)
+    streams[topic], words = fault(streams[topic], np.random.default_rng(100))
+    found = _found(streams)
+    assert found
+    assert found[0].who == topic
+    assert words in found[0].what
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("lean", [0.0, 0.35])
+def test_sound_streams_are_not_accused(seed: int, lean: float) -> None:
+    assert _found(_sound(seed, lean)) == []
+
+
+@pytest.mark.parametrize("axis", range(6))
+def test_an_axis_without_noise_that_reads_0_from_the_start_is_not_accused(axis: int) -> None:
+    streams = _sound(2)
+    smooth = np.sin(streams["/imu"].t_s[:, None] * [0.3, 0.4, 0.5, 0.3, 0.4, 0.0]) * 0.1 - [0, 0, 0, 0, 0, GRAVITY]
+    smooth[:, axis] = -GRAVITY if axis == 5 else 0.0
+    assert _found({"/imu": streams["/imu"]._replace(values=smooth), "/gnss": streams["/gnss"]}) == []
+
+
+def test_a_log_recorded_at_half_speed_accuses_nobody() -> None:
+    slow = {name: s._replace(arrived_s=2.0 * s.arrived_s) for name, s in _sound(0).items()}
+    assert [f for f in _found(slow) if "stamps" in f.what] == []
+
+
+def test_when_it_began_is_said() -> None:
+    streams = _sound(1)
+    imu = streams["/imu"]
+    streams["/imu"] = imu._replace(t_s=imu.t_s - 1.43 * (imu.t_s > 12.0))
+    assert _found(streams)[0].since_s == pytest.approx(12.0, abs=0.1)
+
+
+def test_late_and_shuffled_fixes_are_no_fault() -> None:
+    streams = _sound(3)
+    fixes, rng = streams["/pose_fix"], np.random.default_rng(3)
+    arrived = fixes.t_s + rng.uniform(0.0, 5.0, len(fixes.t_s))
+    order = np.argsort(arrived)
+    streams["/pose_fix"] = Stream(POSE, fixes.t_s[order], arrived[order], fixes.values[order])
+    assert _found(streams) == []
