@@ -33,7 +33,7 @@ class Heights:
     slope: float = 0.0
 
     @classmethod
-    def level(cls, down: float, unevenness_m: float = 3.0, slope: float = 0.02) -> "Heights":
+    def level(cls, down: float, unevenness_m: float = 3.0, slope: float = 0.05) -> "Heights":
         """The same everywhere."""
         return cls(np.full((2, 2), down), np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), unevenness_m, slope)
 

@@ -33,6 +33,7 @@ _SAME_NOISE_PX = 2.0 * math.pi * BLUR_PX**2
 # Of a block's position: two interpolations. All blocks lie at about the same fraction of a pixel, so it does not average.
 _FLOOR_PX = 0.1
 _AGREES_PX = 2.0  # of the grid: a block that is no farther off
+_AGAIN, _SETTLED = 3, 0.8  # more turns at most, while less than so many of the blocks agree: those at the far end come last
 _BY_CHANCE = 0.15  # share of the blocks of a wrong position that agree: pi 2^2 / 11^2, and a pose was fitted to them
 _POINTS = PointConfig(least=6, freedom=4.0, expected=1.0)
 
@@ -59,6 +60,10 @@ class Registered:
     def correlation(self) -> float:
         """Coefficient at the peak of the search."""
         return self.peak.correlation
+
+    def is_moving(self, config: RegistrationConfig) -> bool:
+        """Whether it is no chance, and so many blocks are still off that another turn may bring them in."""
+        return self.chance < config.likely and self.agreed < _SETTLED * self.tried
 
     def is_sure(self, config: RegistrationConfig) -> bool:
         """Whether one image is enough."""
@@ -93,25 +98,39 @@ def register(
     if isinstance(position, NotRegistered):
         return position
     pose = position.p_n, position.R_nb
-    fit, matched = None, _Matched.none()
-    for points, reach in zip(config.fine, config.search, strict=True):
-        matched = _blocks(rig, levels, pose, map_image, (points, reach, config.block))
-        if len(matched.points.px) < _POINTS.least:
-            return NotRegistered("no_structure", f"{len(matched.points.px)} of {matched.tried} blocks have a position", position)
-        horizontal, height, slope = map_image.shared_sigma
-        shared = math.hypot(horizontal, _FLOOR_PX * matched.step_m), height, slope
-        found = fit_points(rig, matched.points, pose, prior, shared, _POINTS)
-        if isinstance(found, str):
-            return NotRegistered(
-                "no_pose", f"{found}, of {matched.tried} blocks; correlation {position.correlation:.2f}", position
-            )
-        fit, pose = found, (found.estimate.joint_p_n, found.estimate.joint_R_nb)
-    assert fit is not None
+    found: Registered | None = None
+    again = [(config.fine[-1], config.search[-1])] * _AGAIN
+    for k, (points, reach) in enumerate([*zip(config.fine, config.search, strict=True), *again]):
+        if k >= len(config.fine) and found is not None and not found.is_moving(config):
+            break
+        laid = _laid(rig, levels, (pose, prior), map_image, position, (points, reach, config.block))
+        if isinstance(laid, NotRegistered):
+            return laid
+        found, pose = laid, (laid.pose.joint_p_n, laid.pose.joint_R_nb)
+    assert found is not None
+    if found.agreed < config.least_blocks:
+        correlation = f"correlation {position.correlation:.2f}"
+        return NotRegistered("not_found", f"{found.agreed} of {found.tried} blocks agree; {correlation}", position)
+    return found
+
+
+def _laid(
+    rig: StereoRig, levels: tuple[Image, ...], start: tuple[tuple[Array, Array], Prior], map_image: GroundImage, position: Peak,
+    sizes: tuple[int, int, int],
+) -> Registered | NotRegistered:  # fmt: skip
+    """The pose that the blocks agree on, shifted from a start; sizes: as of _blocks."""
+    pose, prior = start
+    matched = _blocks(rig, levels, pose, map_image, sizes)
     tried = matched.tried
+    if len(matched.points.px) < _POINTS.least:
+        return NotRegistered("no_structure", f"{len(matched.points.px)} of {tried} blocks have a position", position)
+    horizontal, height, slope = map_image.shared_sigma
+    shared = math.hypot(horizontal, _FLOOR_PX * matched.step_m), height, slope
+    fit = fit_points(rig, matched.points, pose, prior, shared, _POINTS)
+    if isinstance(fit, str):
+        return NotRegistered("no_pose", f"{fit}, of {tried} blocks; correlation {position.correlation:.2f}", position)
     agreed = int(np.sum(np.linalg.norm(fit.residual, axis=1) < _AGREES_PX * matched.point_px))
-    if agreed < config.least_blocks:
-        return NotRegistered("not_found", f"{agreed} of {tried} blocks agree; correlation {position.correlation:.2f}", position)
-    chance = float(betainc(agreed, tried - agreed + 1, _BY_CHANCE))  # of so many or more, binomial
+    chance = float(betainc(agreed, tried - agreed + 1, _BY_CHANCE)) if agreed else 1.0  # of so many or more, binomial
     return Registered(fit.estimate, tried, agreed, chance, position)
 
 
