@@ -16,7 +16,7 @@ demo: install  ## the main job: a simulated flight, GPS cut off; says where the 
 	$(BIN)/landfix demo
 
 test: install  ## check, then all tests; the exit code tells of both
-	@checked=0; $(MAKE) --no-print-directory check || checked=$$?; $(PYTEST) -n 2 && exit $$checked
+	@checked=0; $(MAKE) --no-print-directory check || checked=$$?; $(PYTEST) -n 2 --dist worksteal && exit $$checked
 
 check: install  ## ruff, mypy --strict, import contracts
 	$(BIN)/ruff check .

@@ -1,10 +1,12 @@
-"""What every test may use: no display, Ctrl-C, hypothesis profiles, the folder of recorded flights."""
+"""What every test may use: one thread, no display, Ctrl-C, hypothesis profiles, the folder of recorded flights."""
 
 import os
 import signal
 from pathlib import Path
 
 os.environ["MPLBACKEND"] = "Agg"  # before anything imports matplotlib
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy: another test runs on the other core
+os.environ["OPENCV_FOR_THREADS_NUM"] = "1"
 
 import pytest
 from hypothesis import settings
