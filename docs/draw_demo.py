@@ -25,7 +25,7 @@ from logs.evaluation.plots import BLACK, BLUE, ORANGE
 from models.maps.landmarks import LandmarkMap
 
 OUT: Final = Path(__file__).parent / "images" / "demo.webp"
-_EVERY, _PLAYED_MS, _HEIGHT = 4, 140, 372  # of the images; each is shown so long; px
+_EVERY, _PLAYED_MS, _HEIGHT = 2, 140, 372  # of the images; each is shown so long; px
 _MOST_BYTES: Final = 1_500_000
 _TAIL_MS: Final = 2500  # the last image stays
 _MARGIN_M, _WIDE = 25.0, 2.0  # of the map: around the way; its width to its height
