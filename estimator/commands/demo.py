@@ -1,12 +1,13 @@
 """landfix demo."""
 # ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from estimator.commands.common.console import Json, kept_on_interrupt, print_json, print_table, progress
+from estimator.commands.common.console import Json, kept_on_interrupt, note, print_json, print_table, progress
 from estimator.commands.replay import print_summary
 
 if TYPE_CHECKING:
@@ -32,14 +33,16 @@ def command(
       landfix demo -o out/another --seed 7 --json
       landfix demo -o out/mono --mono
     """
+    note(f"a flight is simulated, drawn, replayed and evaluated, into {out}")
     from estimator.tools.demo import demo
-    from estimator.tools.kernels import prepare
+    from estimator.tools.kernels import each_tenth, prepare
 
+    lines = not sys.stderr.isatty()
     with kept_on_interrupt(lambda: sorted(path for path in out.glob("*") if path.is_file())):
-        with progress("compiling, once") as report:
-            prepare(report)
-        with progress("demo") as report:
-            result = demo(out, seed, report, one_camera=mono)
+        with progress("compiling, once") as bar:
+            prepare(each_tenth("compiling, once") if lines else bar)
+        with progress("demo") as bar:
+            result = demo(out, seed, each_tenth("demo") if lines else bar, one_camera=mono)
     if json:
         print_json(result)
         return

@@ -1,4 +1,4 @@
-"""Compiles all kernels of a flight or the demonstration that are not compiled yet, in two processes.
+"""Compiles all kernels of a flight or the demonstration that are not compiled yet, in two processes at a time.
 
 python -m estimator.tools.kernels
 """
@@ -25,6 +25,7 @@ height_m = 75.0
 [cameras]
 """
 _SIGNATURES: Final = 131  # are compiled, of which the bar is a share
+_AT_A_TIME: Final = 2
 
 Report = Callable[[float, str], None]  # share that is done, and what is compiled now
 
@@ -34,20 +35,26 @@ class KernelsError(Exception):
 
 
 def prepare(report: Report = lambda _, __: None, parts: Sequence[Callable[[], None]] = ()) -> None:
-    """Compile all where a source has changed; parts: one process each (none: vision, and all else). Raises KernelsError."""
+    """Compile all where a source has changed; parts: a process each, two at a time (none: all). Raises KernelsError."""
     if compilation.is_current():
         return
     compilation.forget()
-    processes, pipes = list[BaseProcess](), list[Connection]()
+    waiting, processes = list(parts or PARTS), list[BaseProcess]()
+    pipes, now, done = list[Connection](), dict[Connection, str](), 0
     try:
-        for part in parts or (_vision, _flight):
-            ours, theirs = SPAWNED.Pipe(duplex=False)
-            process = SPAWNED.Process(target=_compile, args=(theirs, part), name=f"landfix-compile{part.__name__}")
-            process.start()
-            theirs.close()
-            processes.append(process)
-            pipes.append(ours)
-        _follow(pipes, report)
+        while waiting or pipes:
+            while waiting and len(pipes) < _AT_A_TIME:
+                process, pipe = _begun(waiting.pop(0))
+                processes.append(process)
+                pipes.append(pipe)
+            for pipe in _ready(pipes):
+                try:
+                    now[pipe] = pipe.recv()
+                    done += bool(now[pipe])
+                except EOFError:
+                    pipes.remove(pipe)
+                    now.pop(pipe, None)
+                report(min(done / _SIGNATURES, 1.0), ", ".join(filter(None, now.values())))
     except BaseException:
         for begun in processes:
             begun.terminate()
@@ -59,19 +66,17 @@ def prepare(report: Report = lambda _, __: None, parts: Sequence[Callable[[], No
     compilation.mark_current()
 
 
-def _follow(pipes: list[Connection], report: Report) -> None:
-    """Report what the processes say until they have ended."""
-    done, names = 0, dict[Connection, str]()
-    while pipes:
-        for pipe in wait(pipes):
-            assert isinstance(pipe, Connection)
-            try:
-                names[pipe] = pipe.recv()
-                done += bool(names[pipe])
-            except EOFError:
-                pipes.remove(pipe)
-                names.pop(pipe, None)
-            report(min(done / _SIGNATURES, 1.0), ", ".join(filter(None, names.values())))
+def _begun(part: Callable[[], None]) -> tuple[BaseProcess, Connection]:
+    """A process that compiles a part, and the names of its kernels."""
+    ours, theirs = SPAWNED.Pipe(duplex=False)
+    process = SPAWNED.Process(target=_compile, args=(theirs, part), name=f"landfix-compile{part.__name__}")
+    process.start()
+    theirs.close()
+    return process, ours
+
+
+def _ready(pipes: list[Connection]) -> list[Connection]:
+    return [pipe for pipe in wait(pipes) if isinstance(pipe, Connection)]
 
 
 def _compile(pipe: Connection, part: Callable[[], None]) -> None:
@@ -82,37 +87,69 @@ def _compile(pipe: Connection, part: Callable[[], None]) -> None:
     pipe.close()
 
 
-def _vision() -> None:
-    from estimator.service.vision.warm_up import warm_up  # noqa: PLC0415  (each process loads what it needs)
+def _seen_at_once() -> None:
+    """Outlines and poses."""
+    _looks(0)
 
-    warm_up()
+
+def _searched() -> None:
+    _looks(1)
+
+
+def _segmented() -> None:
+    _looks(2)
+
+
+def _looks(k: int) -> None:
+    """With the k-th prior of the warm-up."""
+    from estimator.service.vision.warm_up import PRIORS_M, warm_up  # noqa: PLC0415  (each process loads what it needs)
+
+    warm_up(PRIORS_M[k : k + 1])
 
 
 def _flight() -> None:
-    """What estimates, then what simulates and draws."""
-    from estimator.replay import flight_images  # noqa: PLC0415
+    """What estimates."""
     from estimator.service.warm_up import warm_up  # noqa: PLC0415
+
+    warm_up()
+
+
+def _drawing() -> None:
+    """What simulates and draws."""
+    from estimator.replay import flight_images  # noqa: PLC0415
     from models.sim.scenario import simulate  # noqa: PLC0415
     from models.sim.scenario_file import loads  # noqa: PLC0415
 
-    warm_up()
     plan = loads(_SCENARIO)
     simulation = simulate(plan, 0)
     assert plan.cameras is not None
     flight_images.plan(plan.cameras, simulation, 0).draw(0)
 
 
+# The dearest first. A part finds what the ones before it have compiled, and gives its memory back.
+PARTS: Final = (_seen_at_once, _flight, _drawing, _segmented, _searched)
+
+
+def each_tenth(title: str) -> Report:
+    """Progress on stderr where it is no terminal: a line a tenth."""
+    reached = -1
+
+    def report(share: float, now: str = "") -> None:
+        nonlocal reached
+        if int(10.0 * share) > reached:
+            reached = int(10.0 * share)
+            print(f"{title} {share:4.0%} {now}".rstrip(), file=sys.stderr, flush=True)
+
+    return report
+
+
 def main() -> None:
-    """With a line on stderr that reports progress."""
-    terminal = sys.stderr.isatty()
-
-    def report(share: float, now: str) -> None:
-        if terminal:
-            print(f"\r\x1b[Kcompiling {share:4.0%} {now[:100]}", end="", file=sys.stderr, flush=True)
-
-    prepare(report)
-    if terminal:
-        print("\r\x1b[K", end="", file=sys.stderr)
+    """With progress on stderr, on a terminal one line that changes."""
+    if not sys.stderr.isatty():
+        prepare(each_tenth("compiling"))
+        return
+    prepare(lambda share, now: print(f"\r\x1b[Kcompiling {share:4.0%} {now[:100]}", end="", file=sys.stderr, flush=True))
+    print("\r\x1b[K", end="", file=sys.stderr)
 
 
 if __name__ == "__main__":

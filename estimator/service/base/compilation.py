@@ -16,7 +16,7 @@ from numba.core import event
 from numba.core.dispatcher import Dispatcher
 
 _ROOT: Final = Path(__file__).parents[3]
-_PACKAGES: Final = ("models", "vision", "estimator", "logs", "calib")
+PACKAGES: Final = ("models", "vision", "estimator", "logs", "calib")
 _CONSTANTS: Final = ("models", "vision")  # packages whose files hold what kernels of other files read
 _STAMP: Final = "landfix.kernels"
 
@@ -77,7 +77,7 @@ def _modules() -> Iterator[Any]:
 
 
 def _sources() -> list[Path]:
-    return sorted(path for package in _PACKAGES for path in (_ROOT / package).rglob("*.py"))
+    return sorted(path for package in PACKAGES for path in (_ROOT / package).rglob("*.py"))
 
 
 def _digest() -> str:

@@ -1,5 +1,6 @@
 """Each way of looking once, at images drawn here: no image of the flight then waits for a kernel to be compiled or loaded."""
 
+from collections.abc import Sequence
 from itertools import product
 from typing import Final
 
@@ -19,7 +20,7 @@ from vision.synthetic.rigs import make_rig
 _PLACE: Final = (0.0, 0.0, -60.0)
 _LEVEL: Final = (1.0, 0.0, 0.0, 0.0)
 _ORIGIN: Final = (47.0, 8.0, 400.0)
-_PRIORS_M: Final = (0.3, 5.0, 60.0)  # seen at once, by a search, by segmentation
+PRIORS_M: Final = (0.3, 5.0, 60.0)  # seen at once, by a search, by segmentation
 _PERIOD_NS: Final = 100_000_000
 _ROOFS: Final = (  # north, east of the corners [m]: large, small, L-shaped, cut by the border, too small for edges; colour
     (((0.0, -22.0), (2.0, -4.0), (-17.0, -2.0), (-19.0, -20.0)), (40, 40, 205)),
@@ -32,7 +33,7 @@ _ROOFS: Final = (  # north, east of the corners [m]: large, small, L-shaped, cut
 _GROUND, _GRAIN = 110.0, 8.0
 
 
-def warm_up() -> None:
+def warm_up(priors_m: Sequence[float] = PRIORS_M) -> None:
     """Pairs and single images, grey and coloured, raw and JPEG, with priors from narrow to hopeless; then the map drawn in."""
     rig, p_n = make_rig(), np.array(_PLACE)
     marks = [
@@ -42,7 +43,7 @@ def warm_up() -> None:
     left = _drawn(marks, rig.left, *rig.camera_pose(p_n, np.eye(3)))
     right = _drawn(marks, rig.right, *rig.right_camera_pose(p_n, np.eye(3)))
     processor = Processor(rig, LandmarkMap.from_landmarks(_ORIGIN, marks))
-    for k, (sigma_m, (is_stereo, is_grey, is_jpeg)) in enumerate(product(_PRIORS_M, product((True, False), repeat=3))):
+    for k, (sigma_m, (is_stereo, is_grey, is_jpeg)) in enumerate(product(priors_m, product((True, False), repeat=3))):
         t_ns = (k + 1) * _PERIOD_NS
         covariance = np.diag(np.repeat([sigma_m, 0.02], 3) ** 2)
         shots = [_shot(t_ns, p[:, :, 1] if is_grey else p, is_jpeg) for p in (left, right)]

@@ -83,6 +83,15 @@ def test_a_part_that_fails_is_said_and_not_marked(nothing_there: list[str]) -> N
     assert nothing_there == ["forgotten"]
 
 
+def test_parts_run_two_at_a_time_and_progress_is_a_line_a_tenth(
+    nothing_there: list[str], capfd: pytest.CaptureFixture[str]
+) -> None:
+    kernels.prepare(kernels.each_tenth("compiling"), [compiles_one] * 3)
+    assert nothing_there == ["forgotten", "marked"]
+    (first,) = capfd.readouterr().err.splitlines()  # 3 of 131 are no tenth
+    assert first.startswith("compiling   ")
+
+
 def test_where_all_is_current_nothing_is_done(nothing_there: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compilation, "is_current", lambda: True)
     kernels.prepare(parts=[cannot])

@@ -1,7 +1,7 @@
 """Vision's process with something slow in its looks: a kernel that takes seconds to compile, or answers that take long."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from numba import njit
@@ -37,8 +37,8 @@ def _serve(first: Callable[[], object], *args: Any) -> None:
         first()
         return look(*asked)
 
-    def then_slow() -> None:
-        warm_up()
+    def then_slow(priors_m: Sequence[float] = vision_warm_up.PRIORS_M) -> None:
+        warm_up(priors_m)
         Processor.process = slow  # type: ignore[assignment, method-assign]
 
     vision_warm_up.warm_up = then_slow
