@@ -30,9 +30,8 @@ class ImuBuffer:
 
         Of two different samples of one stamp the smaller (as a tuple) stays, whichever came first.
         """
-        if self.count == len(self.t_ns):
-            self._grow()
-        k, end = self.count, self.count + 1
+        k = self.begin_next()
+        end = k + 1
         if s.t_ns <= self.newest_ns:
             k = int(self.t_ns[: self.count].searchsorted(s.t_ns))
             if self.t_ns[k] == s.t_ns:
@@ -44,10 +43,9 @@ class ImuBuffer:
                 self.u[k + 1 : end] = self.u[k : self.count]
         sampling.put(self.t_ns, self.u, self.known, k, end, s.t_ns, *s.gyro_b, *s.accel_b)
         if k == self.count:
-            self.previous_ns, self.newest_ns = self.newest_ns, s.t_ns
+            self.end_next(s.t_ns)
         elif end > self.count:
-            self.previous_ns = int(self.t_ns[end - 2])
-        self.count = end
+            self.previous_ns, self.count = int(self.t_ns[end - 2]), end
         return True
 
     def begin_next(self) -> int:
