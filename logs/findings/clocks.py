@@ -55,7 +55,7 @@ def few_stamps(stream: Stream) -> Cause | None:
     if distinct >= _FEW_DISTINCT * n:
         return None
     changed = np.any(np.diff(stream.values, axis=0) != 0.0, axis=1)[np.diff(stream.t_s) == 0.0]
-    if changed.mean() < 0.5:
+    if not len(changed) or changed.mean() < 0.5:
         return None  # copies
     return Cause(f"{n} stamps have {distinct} values", float(stream.arrived_s[0]), _DIGITS, unfit=True)
 
@@ -66,12 +66,12 @@ def sawtooth(stream: Stream) -> Cause | None:
     back = np.flatnonzero(steps < -0.05)
     if len(back) < 3:
         return None
-    fall = -float(np.median(steps[back]))
+    fall = float(np.median(steps)) - float(np.median(steps[back]))
     period = float(np.median(np.diff(stream.arrived_s[back])))
-    if np.ptp(steps[back]) > 0.2 * fall or abs(period - fall) > 0.3 * fall:
+    if _spread(steps[back]) > 0.1 * fall or abs(period - fall) > 0.1 * fall:
         return None
     what = (
-        "only the nanoseconds of its stamps are set" if abs(fall - 1.0) < 0.2 else "a part of the time is missing in its stamps"
+        "only the nanoseconds of its stamps are set" if abs(fall - 1.0) < 0.05 else "a part of the time is missing in its stamps"
     )
     return Cause(f"its stamps fall back by {fall:.2f} s again and again: {what}", float(stream.arrived_s[0]), _DIGITS)
 

@@ -12,6 +12,7 @@ _IMU_HELD_S: Final = 0.2
 _LIVELY: Final = 0.5  # of the readings differ from the one before
 _MOVING_M_S: Final = 1.0
 _MOVED_M: Final = 5.0  # while it was held
+_REGULAR: Final = 0.7  # of the runs
 _EVIDENCE: Final = (IMU, FIX, VELOCITY, POSE)  # of which copies count
 _EARTH_M: Final = 111_320.0  # a degree of latitude
 
@@ -42,8 +43,8 @@ def held(stream: Stream, imu: Stream | None) -> Cause | None:
     return Cause(what, float(stream.arrived_s[first]), "its sender holds the last value: let it be silent then")
 
 
-def copies(stream: Stream, imu: Stream | None) -> Cause | None:
-    """Each reading stands m >= 2 times, under stamps of its own, over the whole stream."""
+def copies(stream: Stream) -> Cause | None:
+    """Each reading stands m >= 2 times, under stamps of its own: of the whole stream, and most runs are of equal length."""
     if stream.kind not in _EVIDENCE:
         return None
     same = np.all(np.diff(stream.values[:, _measured(stream)], axis=0) == 0.0, axis=1)
@@ -51,8 +52,9 @@ def copies(stream: Stream, imu: Stream | None) -> Cause | None:
     changes = np.flatnonzero(~same)
     if len(changes) < 10 or not new_stamp.mean() > _LIVELY:
         return None
-    times = float(np.median(np.diff(changes)))
-    if times < 2.0 or np.mean(same & new_stamp) < 0.4 or not _moves(stream, imu, 0, len(same)):
+    lengths = np.diff(changes)
+    times = float(np.median(lengths))
+    if times < 2.0 or np.mean(lengths == times) < _REGULAR:
         return None
     hz = len(changes) / max(float(np.ptp(stream.arrived_s)), 1e-9)
     what = f"each reading stands {times:.0f} times under stamps of its own: {hz:.0f} Hz repeated"

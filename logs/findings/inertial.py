@@ -69,9 +69,10 @@ def units(imu: Stream) -> Cause | None:
     if _GRAVITY_BAND[0] < length < _GRAVITY_BAND[1]:
         return None
     read = f"the accelerometer reads {length:.3g} m/s^2 in its stillest second"
-    if 0.8 < length < 1.3:
+    mean = float(np.linalg.norm(finite[:, 3:].mean(axis=0)))
+    if 0.8 < length < 1.3 and 0.8 < mean < 1.3:
         return Cause(f"{read}: it is in g", since_s, f"convert to m/s^2 (x {GRAVITY})")
-    if length < 2.0:
+    if mean < 2.0:
         return Cause(f"{read}: gravity is missing", since_s, "send the specific force as it is measured, gravity included")
     return Cause(f"{read}: its unit or scale is wrong", since_s, f"send m/s^2: at rest it reads {GRAVITY:.2f}")
 

@@ -46,12 +46,12 @@ def _values(streams: Streams, origin: Vec3 | None) -> Iterator[tuple[str, str, C
         found: Cause | None
         if s.kind == IMU:
             found = (
-                inertial.slow(s) or inertial.halves(s) or inertial.units(s) or inertial.tilted(s) or held.copies(s, None)
-                or held.held(s, None) or inertial.frozen_axis(s) or inertial.spikes(s) or inertial.clipped(s)
+                inertial.slow(s) or inertial.halves(s) or held.copies(s) or held.held(s, None) or inertial.frozen_axis(s)
+                or inertial.units(s) or inertial.tilted(s) or inertial.spikes(s) or inertial.clipped(s)
                 or clocks.silence(s, others)
             )  # fmt: skip
         else:
-            found = held.zero(s) or (held.held(s, imu) or held.copies(s, imu) if s.kind != ATTITUDE else None)
+            found = held.zero(s) or (held.held(s, imu) or held.copies(s) if s.kind != ATTITUDE else None)
         if s.kind == FIX and not found:
             found = position.far(s, origin) or position.scattered(s)
         if s.kind == _BARO and not found:

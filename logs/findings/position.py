@@ -10,7 +10,9 @@ from models.frames import Origin
 from models.messages import Array, Vec3
 
 _FAR_M: Final = 1e6
-_NEAR_M: Final = 2e5
+_SUSPECT_M: Final = 1e5
+_NEAR: Final = 0.1  # of that distance: where another reading of the numbers lies
+_DRIVER: Final = "mend the driver of the receiver"
 _STEP_S: Final = 1.0
 _LONGEST_S: Final = 6.0
 _LEAST_STEPS: Final = 8
@@ -29,8 +31,10 @@ def far(stream: Stream, origin: Vec3 | None) -> Cause | None:
     if lat == 0.0 and lon == 0.0:
         return Cause("its fixes are at latitude 0, longitude 0", since_s, "the receiver has no fix: let it report status -1")
     if abs(lat) > 90.0 or abs(lon) > 360.0:
-        return Cause(f"latitude {lat:.6g}, longitude {lon:.6g} are no degrees", since_s, _swapped(lat, lon) or "send degrees")
-    if origin is None or _distance(origin, lat, lon) < _FAR_M:
+        swapped = abs(lon) <= 90.0 and abs(lat) <= 180.0
+        what = "latitude and longitude are exchanged" if swapped else f"latitude {lat:.6g}, longitude {lon:.6g} are no degrees"
+        return Cause(what, since_s, _DRIVER)
+    if origin is None or (away_m := _distance(origin, lat, lon)) < _SUSPECT_M:
         return None
     others = {
         "latitude and longitude are exchanged": (lon, lat),
@@ -39,13 +43,11 @@ def far(stream: Stream, origin: Vec3 | None) -> Cause | None:
         "both latitude and longitude have the wrong sign": (-lat, -lon),
         "latitude and longitude are in radians": (np.degrees(lat), np.degrees(lon)),
     }
-    names = [name for name, (a, b) in others.items() if abs(a) <= 90.0 and _distance(origin, a, b) < _NEAR_M]
-    what = names[0] if names else f"its fixes are {1e-3 * _distance(origin, lat, lon):.0f} km from [map] origin"
-    advice = (
-        "mend the driver of the receiver"
-        if names
-        else f"set [map] origin = [{lat:.6f}, {lon:.6f}, {alt:.1f}], or mend the receiver"
-    )
+    names = [name for name, (a, b) in others.items() if abs(a) <= 90.0 and _distance(origin, a, b) < _NEAR * away_m]
+    if not names and away_m < _FAR_M:
+        return None
+    what = names[0] if names else f"its fixes are {1e-3 * away_m:.0f} km from [map] origin"
+    advice = _DRIVER if names else f"set [map] origin = [{lat:.6f}, {lon:.6f}, {alt:.1f}], or mend the receiver"
     return Cause(what, since_s, advice)
 
 
@@ -153,7 +155,3 @@ def _related(a: tuple[Array, Array], b: tuple[Array, Array], axes: int) -> Relat
 def _distance(origin: Vec3, lat: float, lon: float) -> float:
     """Along the chord, m."""
     return float(np.linalg.norm(Origin(*origin).to_ned(float(lat), float(lon), origin[2])))
-
-
-def _swapped(lat: float, lon: float) -> str:
-    return "latitude and longitude are exchanged" if abs(lon) <= 90.0 and abs(lat) <= 180.0 else ""

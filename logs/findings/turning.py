@@ -85,9 +85,7 @@ def field(turned: Turned, stream: Stream) -> Cause | None:
     since_s, length = float(stream.arrived_s[0]), float(np.median(np.linalg.norm(stream.values, axis=1)))
     if not _FIELD_BAND_T[0] < length < _FIELD_BAND_T[1]:
         what = f"the field is {1e6 * length:.3g} uT strong, Earth's is 22 to 67: "
-        unit = next(
-            (u for u, f in (("gauss", 1e-4), ("uT", 1e-6), ("mgauss", 1e-7), ("nT", 1e-9)) if 2e-5 < f * length < 9e-5), ""
-        )
+        unit = next((u for u, f in _FIELD_UNITS if 2e-5 < f * length < 2e-4), "")
         return Cause(what + (f"it is in {unit}, not in tesla" if unit else "wrong unit"), since_s, "send tesla")
     ordered = stream.in_order()
     rows = _apart(ordered.t_s, _FIELD_STEP_S)

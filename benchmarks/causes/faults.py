@@ -1,0 +1,236 @@
+"""Faults of sensors, stamps and frames, each a change of one topic's messages; sizes and times are drawn."""
+
+from collections.abc import Callable
+from typing import Final, NamedTuple, TypeAlias
+
+import numpy as np
+from msgspec.structs import replace
+from scipy.spatial.transform import Rotation
+
+from models.messages import GnssFix, GnssVelocity, ImuSample, Input, OdometryPose, PoseFix, Reading
+
+Messages: TypeAlias = list[Input]
+Change: TypeAlias = Callable[[Messages, np.random.Generator], Messages]
+
+
+class Fault(NamedTuple):
+    """kind: of the messages that it changes; words: one of them is in a sentence that names the cause."""
+
+    kind: str
+    change: Change
+    words: tuple[str, ...]
+
+
+def _later(m: Messages, rng: np.random.Generator) -> int:
+    """A time of arrival between 20 % and 70 % of the log."""
+    first, last = m[0].arrived_ns, m[-1].arrived_ns
+    return int(first + rng.uniform(0.2, 0.7) * (last - first))
+
+
+def _stamps(change: Callable[[int, int, int], int]) -> Callable[[Messages, int], Messages]:
+    """change(t_ns, arrived_ns, number) -> t_ns."""
+    return lambda m, _: [replace(x, t_ns=change(x.t_ns, x.arrived_ns, k)) for k, x in enumerate(m)]
+
+
+def step(m: Messages, rng: np.random.Generator) -> Messages:
+    """The clock is set."""
+    size, at = int(1e9 * rng.choice([-1, 1]) * 10.0 ** rng.uniform(-0.3, 3.5)), _later(m, rng)
+    return _stamps(lambda t, a, _: t + size * (a > at))(m, 0)
+
+
+def speed(m: Messages, rng: np.random.Generator) -> Messages:
+    """The clock runs too fast or too slow."""
+    k, first = float(rng.choice([0.25, 0.5, 0.8, 0.97, 1.05, 1.5, 2.0, 10.0])), m[0].t_ns
+    return _stamps(lambda t, _a, _k: first + round(k * (t - first)))(m, 0)
+
+
+def wrap(m: Messages, rng: np.random.Generator) -> Messages:
+    """A 32-bit counter of micro- or milliseconds."""
+    size, at = int(2**32 * rng.choice([1_000, 1_000_000])), _later(m, rng)
+    return _stamps(lambda t, a, _: t - size * (a > at))(m, 0)
+
+
+def nanoseconds(m: Messages, _: np.random.Generator) -> Messages:
+    """The seconds are not set."""
+    return _stamps(lambda t, _a, _k: t % 10**9)(m, 0)
+
+
+def never_set(m: Messages, _: np.random.Generator) -> Messages:
+    """Stamp 0."""
+    return _stamps(lambda _t, _a, _k: 0)(m, 0)
+
+
+def zone(m: Messages, rng: np.random.Generator) -> Messages:
+    """A time zone, or GPS time."""
+    ahead = int(1e9 * rng.choice([-7200, 3600, 18, 19800]))
+    return _stamps(lambda t, _a, _k: t + ahead)(m, 0)
+
+
+def float32(m: Messages, _: np.random.Generator) -> Messages:
+    """Seconds since 1970 as float32."""
+    return _stamps(lambda t, _a, _k: round(float(np.float32(t * 1e-9)) * 1e9))(m, 0)
+
+
+def batched(m: Messages, rng: np.random.Generator) -> Messages:
+    """n samples a batch, stamped on arrival."""
+    n = int(rng.integers(5, 30))
+    last = [m[min(k // n * n + n - 1, len(m) - 1)].arrived_ns for k in range(len(m))]
+    return [replace(x, t_ns=last[k] + 10_000 * (k % n), arrived_ns=last[k] + 10_000 * (k % n)) for k, x in enumerate(m)]
+
+
+def two_clocks(m: Messages, rng: np.random.Generator) -> Messages:
+    """Every second or third message is of a sender whose clock differs."""
+    n, off = int(rng.integers(2, 4)), int(1e9 * rng.uniform(0.3, 5.0))
+    return _stamps(lambda t, _a, k: t - off * (k % n == 0))(m, 0)
+
+
+def silent(m: Messages, rng: np.random.Generator) -> Messages:
+    """A gap, or the end."""
+    at, gap = _later(m, rng), int(1e9 * rng.choice([2.5, 8.0, 1e4]))
+    return [x for x in m if not at < x.arrived_ns < at + gap]
+
+
+def slow(m: Messages, rng: np.random.Generator) -> Messages:
+    """Logged too rarely."""
+    hz = (len(m) - 1) / (1e-9 * (m[-1].arrived_ns - m[0].arrived_ns))
+    return m[:: round(hz / rng.uniform(4.0, 15.0))]
+
+
+def held(m: Messages, rng: np.random.Generator) -> Messages:
+    """One reading for 4 s and more under new stamps."""
+    at, long = _later(m, rng), int(1e9 * rng.uniform(6.0, 15.0))
+    first = next(x for x in m if x.arrived_ns >= at)
+    return [replace(first, t_ns=x.t_ns, arrived_ns=x.arrived_ns) if at < x.arrived_ns < at + long else x for x in m]
+
+
+def repeated(m: Messages, rng: np.random.Generator) -> Messages:
+    """Each reading n times."""
+    n = int(rng.integers(2, 6))
+    return [replace(m[k // n * n], t_ns=x.t_ns, arrived_ns=x.arrived_ns) for k, x in enumerate(m)]
+
+
+def _imu(change: Callable[[np.ndarray], np.ndarray]) -> Change:
+    def changed(m: Messages, _: np.random.Generator) -> Messages:
+        out: Messages = []
+        for x in m:
+            assert isinstance(x, ImuSample)
+            v = change(np.array([*x.gyro_b, *x.accel_b])).tolist()
+            out.append(replace(x, gyro_b=tuple(v[:3]), accel_b=tuple(v[3:])))
+        return out
+
+    return changed
+
+
+def dead(m: Messages, rng: np.random.Generator) -> Messages:
+    """One axis stops, at 0 or at its last value."""
+    axis, at = int(rng.integers(6)), _later(m, rng) if rng.random() < 0.7 else 0
+    first = next(x for x in m if x.arrived_ns >= at)
+    assert isinstance(first, ImuSample)
+    value = 0.0 if rng.random() < 0.5 else [*first.gyro_b, *first.accel_b][axis]
+
+    def stopped(v: np.ndarray) -> np.ndarray:
+        v[axis] = value
+        return v
+
+    return [x for x in m if x.arrived_ns < at] + _imu(stopped)([x for x in m if x.arrived_ns >= at], rng)
+
+
+def mirrored_gyro(m: Messages, rng: np.random.Generator) -> Messages:
+    """One axis of the gyroscope has the wrong sign."""
+    sign = np.ones(6)
+    sign[2] = -1.0
+    return _imu(lambda v: v * sign)(m, rng)
+
+
+def _fix(change: Callable[[float, float, np.random.Generator], tuple[float, float]]) -> Change:
+    def changed(m: Messages, rng: np.random.Generator) -> Messages:
+        out: Messages = []
+        for x in m:
+            assert isinstance(x, GnssFix)
+            lat, lon = change(x.lat_deg, x.lon_deg, rng)
+            out.append(replace(x, lat_deg=lat, lon_deg=lon))
+        return out
+
+    return changed
+
+
+def jammed(m: Messages, rng: np.random.Generator) -> Messages:
+    """Noise grows, the reported accuracy does not."""
+    at, sigma = _later(m, rng), rng.uniform(15.0, 40.0) / 111e3
+    noisy = _fix(lambda a, b, r: (a + r.normal() * sigma, b + r.normal() * sigma))
+    kept = [replace(x, covariance_n=np.diag([1.0, 1.0, 2.0])) for x in m]
+    return [x for x in kept if x.arrived_ns < at] + noisy([x for x in kept if x.arrived_ns >= at], rng)
+
+
+def _velocity(change: Callable[[np.ndarray], np.ndarray]) -> Change:
+    def changed(m: Messages, _: np.random.Generator) -> Messages:
+        return [replace(x, v_n=tuple(change(np.array(x.v_n)).tolist())) for x in m if isinstance(x, GnssVelocity)]
+
+    return changed
+
+
+def _reading(change: Callable[[np.ndarray], np.ndarray]) -> Change:
+    def changed(m: Messages, _: np.random.Generator) -> Messages:
+        return [replace(x, values=tuple(change(np.array(x.values)).tolist())) for x in m if isinstance(x, Reading)]
+
+    return changed
+
+
+def _pose(turn: bool, factor: float) -> Change:
+    def changed(m: Messages, rng: np.random.Generator) -> Messages:
+        axis, angle = "zyx"[int(rng.integers(3))], float(rng.choice([-90.0, 45.0, 90.0, 180.0]))
+        by = Rotation.from_euler(axis, angle, degrees=True)
+        out: Messages = []
+        for x in m:
+            if isinstance(x, PoseFix | OdometryPose):
+                q = x.q_nb_wxyz if isinstance(x, PoseFix) else x.q_ob_wxyz
+                w, *v = (Rotation.from_quat([*q[1:], q[0]]) * by).as_quat()[[3, 0, 1, 2]].tolist()
+                turned = (w, *v) if turn else q
+                if isinstance(x, PoseFix):
+                    out.append(replace(x, q_nb_wxyz=turned, p_n=tuple((factor * np.array(x.p_n)).tolist())))
+                else:
+                    out.append(replace(x, q_ob_wxyz=turned))
+        return out
+
+    return changed
+
+
+DEG: Final = 180.0 / np.pi
+_ALL = ("imu", "gnss", "velocity", "pose", "baro", "field")
+_STEPS, _SPEED = ("jump", "fall back"), ("times the speed", "drift")
+FAULTS: Final[dict[str, Fault]] = {
+    **{f"{kind} clock set": Fault(kind, step, _STEPS) for kind in ("imu", "gnss", "pose")},
+    **{f"{kind} clock speed": Fault(kind, speed, _SPEED) for kind in ("imu", "gnss", "pose")},
+    **{f"{kind} counter wraps": Fault(kind, wrap, ("wrapped",)) for kind in ("imu", "gnss")},
+    **{f"{kind} seconds missing": Fault(kind, nanoseconds, ("only the nanoseconds",)) for kind in ("imu", "gnss")},
+    **{f"{kind} stamp never set": Fault(kind, never_set, ("stamps are the same",)) for kind in ("imu", "gnss", "baro")},
+    **{f"{kind} in another time": Fault(kind, zone, ("time zone", "GPS time")) for kind in ("imu", "gnss", "velocity")},
+    **{f"{kind} two clocks": Fault(kind, two_clocks, ("two clocks",)) for kind in ("imu", "gnss")},
+    "imu stamps float32": Fault("imu", float32, ("stamps",)),
+    "imu batched": Fault("imu", batched, ("batches",)),
+    "imu silent": Fault("imu", silent, ("silent", "ends")),
+    "imu too slow": Fault("imu", slow, ("samples a second",)),
+    **{f"{kind} held": Fault(kind, held, ("repeats one reading",)) for kind in _ALL},
+    **{f"{kind} repeated": Fault(kind, repeated, ("stands",)) for kind in ("imu", "gnss")},
+    "imu axis dead": Fault("imu", dead, ("without any change",)),
+    "imu gyro in deg/s": Fault("imu", _imu(lambda v: v * [DEG, DEG, DEG, 1, 1, 1]), ("deg/s",)),
+    "imu accel in g": Fault("imu", _imu(lambda v: v / [1, 1, 1, 9.80665, 9.80665, 9.80665]), ("in g",)),
+    "imu other convention": Fault("imu", _imu(lambda v: v * [1, -1, -1, 1, -1, -1]), ("other convention",)),
+    "imu on its side": Fault("imu", _imu(lambda v: v[[0, 2, 1, 3, 5, 4]] * [1, -1, 1, 1, -1, 1]), ("mounted",)),
+    "imu gravity removed": Fault("imu", _imu(lambda v: v + np.array([0, 0, 0, 0, 0, 9.80665])), ("gravity is missing",)),
+    "gyro mirrored": Fault("turning", mirrored_gyro, ("mirrored", "turned")),
+    "gnss exchanged": Fault("gnss", _fix(lambda a, b, _: (b, a)), ("exchanged",)),
+    "gnss longitude sign": Fault("gnss", _fix(lambda a, b, _: (a, -b)), ("wrong sign",)),
+    "gnss elsewhere": Fault("gnss", _fix(lambda a, b, _: (a - 25.0, b)), ("from [map] origin",)),
+    "gnss at 0, 0": Fault("gnss", _fix(lambda _a, _b, _r: (0.0, 0.0)), ("latitude 0",)),
+    "gnss jammed": Fault("gnss", jammed, ("scatter",)),
+    "velocity km/h": Fault("velocity", _velocity(lambda v: 3.6 * v), ("km/h",)),
+    "velocity exchanged": Fault("velocity", _velocity(lambda v: v[[1, 0, 2]]), ("exchanged",)),
+    "velocity reversed": Fault("velocity", _velocity(lambda v: -v), ("reversed",)),
+    "pose turned": Fault("pose", _pose(True, 1.0), ("turned",)),
+    "odometry turned": Fault("odometry", _pose(True, 1.0), ("turned",)),
+    "baro in hPa": Fault("baro", _reading(lambda v: 0.01 * v), ("hPa",)),
+    "field mirrored": Fault("field", _reading(lambda v: v * [1.0, -1.0, 1.0]), ("mirrored",)),
+    "field 0": Fault("field", _reading(lambda v: 0.0 * v), ("all its readings are 0",)),
+    "field in gauss": Fault("field", _reading(lambda v: 1e4 * v), ("gauss",)),
+}  # fmt: skip
