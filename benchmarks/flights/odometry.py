@@ -13,13 +13,14 @@ import copy
 import json
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
 import msgspec
 import numpy as np
 
+from benchmarks.flights.odometry_faults import FAULTS, SECOND, Fault, Poses
 from benchmarks.flights.tasks import INSIDE95, ROOT, Task, flights, make, vision_poses
 from benchmarks.tables import Table
 from estimator.config import load
@@ -33,14 +34,11 @@ from models.state import E, X
 
 TOPIC: Final = "/odometry"
 ENDS_S: Final = (10.0, 30.0, 60.0)
-FIRST_S, SECOND = 30.0, 1_000_000_000
+FIRST_S: Final = 30.0
 STEP_S: Final = 0.5
 NEAR_NS: Final = 6_000_000
 FRAME_NS: Final = 50_000_000
 FRAME_LATE: Final = {"MH_04_difficult", "V1_01_easy", "V1_02_medium"}  # the monocular results are stamped one frame late
-
-Poses = list[OdometryPose]
-Variant = Callable[[Poses, int, int], Iterable[Input]]
 
 
 class End(msgspec.Struct, frozen=True):
@@ -103,11 +101,6 @@ def nothing(_poses: Poses, _start_ns: int, _seed: int) -> Iterable[Input]:
     return ()
 
 
-def as_poses(poses: Poses, _start_ns: int, _seed: int) -> Iterable[Input]:
-    """Every pose as it came."""
-    return poses
-
-
 def lost(poses: Poses, start_ns: int, seed: int) -> Iterable[Input]:
     """Increments of half a second; one in five is lost, and 4 s in the middle of the first half minute are dark."""
     rng = np.random.default_rng(seed)
@@ -134,37 +127,10 @@ def _between(a: OdometryPose, b: OdometryPose) -> tuple[tuple[float, float, floa
     return (x, y, z), (q[0], q[1], q[2], q[3])
 
 
-def jumping(poses: Poses, start_ns: int, _seed: int) -> Iterable[Input]:
-    """5 s into the outage the odometry jumps by 1.2 m, 15 s into it by 0.25 m, without saying so."""
-    for pose in poses:
-        x, y, z = pose.p_o
-        x += 1.2 * (pose.t_ns > start_ns + 5 * SECOND)
-        y += 0.25 * (pose.t_ns > start_ns + 15 * SECOND)
-        yield msgspec.structs.replace(pose, p_o=(x, y, z))
-
-
-def scaled(poses: Poses, _start_ns: int, _seed: int) -> Iterable[Input]:
-    """A scale of 1.1 all the time."""
-    return (msgspec.structs.replace(pose, p_o=(1.1 * pose.p_o[0], 1.1 * pose.p_o[1], 1.1 * pose.p_o[2])) for pose in poses)
-
-
-def scaled_within(poses: Poses, start_ns: int, _seed: int) -> Iterable[Input]:
-    """A scale of 1.1 from 5 s into the outage on."""
-    at = next((np.array(pose.p_o) for pose in poses if pose.t_ns > start_ns + 5 * SECOND), np.zeros(3))
-    for pose in poses:
-        p = np.array(pose.p_o)
-        if pose.t_ns > start_ns + 5 * SECOND:
-            p = at + 1.1 * (p - at)
-        yield msgspec.structs.replace(pose, p_o=(float(p[0]), float(p[1]), float(p[2])))
-
-
-VARIANTS: Final[dict[str, tuple[Variant, str]]] = {
+VARIANTS: Final[dict[str, tuple[Fault, str]]] = {
     "none": (nothing, "IMU alone"),
-    "poses": (as_poses, "published VIO"),
     "lost": (lost, "20 % of the steps lost, 4 s dark"),
-    "jump": (jumping, "jumps of 1.2 and 0.25 m"),
-    "scale": (scaled, "scale 1.1 all the time"),
-    "scale_in": (scaled_within, "scale 1.1 from 5 s into the outage"),
+    **FAULTS,
 }
 
 

@@ -27,7 +27,6 @@ from estimator.sources.base.rules import RULES, Rules
 from models.messages import Array, OdometryDelta, OdometryPose, Reason
 from models.relative_pose import RelativePose, between
 
-_NEVER = -(2**62)
 _XYZ, _SIX = 3, 6
 _NOT_GIVEN_M2, _NOT_GIVEN_RAD2 = 9e4, 10.0
 _FASTEST_M_S, _FARTHEST_M = 500.0, 1e7
@@ -35,7 +34,8 @@ _CUSUM_LIMIT = 8.0  # sigma
 _MOST_ERRORS = 6  # that stay with a rig
 _LARGEST_ERROR = 100.0  # m or rad
 _FALSE_M, _FALSE_RAD = 1.0, 0.1  # half widths of the box in which a false increment is expected
-_SCALE_HOLDS_S, _DISPUTE_S, _FADES_S = 600.0, 60.0, 10.0
+_SCALE_HOLDS_S, _DRIFTS_S, _FADES_S, _CLEARED_S = 600.0, 60.0, 10.0, 30.0
+_DRIFT_M_S = 0.01  # of any odometry, for a minute, and nothing shows it; a drift that has faded to this is forgotten
 _USUAL = 3.0  # ratio of the sigmas of two increments of one scene
 _NOTHING = 1e-14  # m^2, rad^2: keeps a covariance positive definite
 _DISPUTED, _DISPUTED_SIGMA = 3.5, 2.5  # of a sum: two such outliers alike; from then on nothing further off is fused
@@ -296,18 +296,23 @@ def spread_at(state: SourceState, t_ns: int) -> tuple[float, float]:
     return least_m / faded if faded > 0.0 else math.inf, most_m * faded
 
 
-def disputed(topic: str, drift_m_s: float, seconds: float) -> SlowError:
-    """By so much its increments may be wrong, for as long as an outage lasts: considered."""
-    return SlowError(_dispute(topic), np.eye(_XYZ), _DISPUTE_S, np.eye(_SIX, _XYZ) * drift_m_s * seconds)
+def drifting(aid: OdometryAid, state: SourceState, seconds: float) -> OdometryAid:
+    """It carries a velocity by which it may be wrong, whatever is known of it, and as it was found to be (considered).
+
+    dp_measured = dp + d dt,   sigma_d^2 = _DRIFT_M_S^2 + d_k^2
+    """
+    sigma_m_s = math.hypot(_DRIFT_M_S, state.drift_m_s)
+    drift = SlowError(_drift(aid.topic), np.eye(_XYZ), _DRIFTS_S, np.eye(_SIX, _XYZ) * sigma_m_s * seconds)
+    return replace(aid, slow_errors=(*aid.slow_errors, drift))
 
 
-def _dispute(topic: str) -> str:
-    return f"{topic}.disputed"
+def _drift(topic: str) -> str:
+    return f"{topic}.drift"
 
 
 def slow_blocks(topic: str) -> tuple[str, str, str]:
     """The blocks of errors that hold within an epoch."""
-    return f"{topic}.lasting", f"{topic}.scale", _dispute(topic)
+    return f"{topic}.lasting", f"{topic}.scale", _drift(topic)
 
 
 def jumped(kept: Kept, t_ns: int, pose: Array) -> tuple[float, Array | None]:
@@ -322,13 +327,10 @@ def jumped(kept: Kept, t_ns: int, pose: Array) -> tuple[float, Array | None]:
 
 
 def arrived(state: SourceState, rules: Rules, t_ns: int, *, alone: bool) -> SourceState:
-    """An increment of t_ns comes in. An odometry that positions have found out comes back only together with a position."""
-    was, drift, spread_m = state.phase, state.drift_m_s, spread_at(state, t_ns)
-    state = replace(state.arrive(rules, t_ns, alone=alone and (state.held_until_ns == _NEVER or drift > 0.0)), spread_m=spread_m)
-    if state.phase is not Phase.ACTIVE:
-        return replace(state, drift_m_s=drift)
-    is_cleared = not alone and was is not Phase.ACTIVE
-    return replace(state, held_until_ns=_NEVER, drift_m_s=0.0 if is_cleared else drift)
+    """An increment of t_ns comes in; what it was found to be wrong by fades while positions come, and stays in an outage."""
+    spread_m, seconds = spread_at(state, t_ns), max(t_ns - state.last_ns, 0) * 1e-9
+    drift = state.drift_m_s if alone else state.drift_m_s * math.exp(-seconds / _CLEARED_S)
+    return replace(state.arrive(rules, t_ns, alone=alone), spread_m=spread_m, drift_m_s=drift if drift > _DRIFT_M_S else 0.0)
 
 
 def widest(state: SourceState, rules: Rules) -> float:
@@ -340,22 +342,15 @@ def widest(state: SourceState, rules: Rules) -> float:
     return _DISPUTED_SIGMA if is_disputed else math.sqrt(gate(rules.gate_probability, 1))
 
 
-def judged(state: SourceState, rules: Rules, t_ns: int, *, alone: bool, passed: bool, off: Array, off_m_s: float) -> SourceState:
+def judged(state: SourceState, *, alone: bool, passed: bool, off: Array, off_m_s: float) -> tuple[SourceState, bool]:
     """The increment passed its gate or not; off (k,): its innovations in sigma; off_m_s: that of the translation, per second.
 
-    It is stopped where they drift, in a sum that a single one cannot raise, also when it is alone: over the time of an increment
-    the IMU vouches for the filter. Alone nobody knows which of the two is wrong: later increments may be as far off as this one.
+    Also whether it contradicts the estimate for good: the sum of the innovations, which no single one can raise, is above its
+    limit. From then on its increments may be wrong by what it is off, d_k = max(d_k-1, |nu_p| / dt).
     """
-    if state.phase is Phase.STARTING or state.drift_m_s:
-        state = replace(state, passed=state.passed + 1 if passed and not alone else 0)
     if state.phase is Phase.STARTING:
-        return state
-    if state.drift_m_s and state.passed >= max(rules.probation, 1):
-        state = replace(state, passed=0, drift_m_s=0.0)
-    if not rules.hold_s or state.phase is not Phase.ACTIVE:
-        return state
+        return replace(state, passed=state.passed + 1 if passed and not alone else 0), False
     sums = cusum(state.sums, np.clip(off, -_CLIP, _CLIP), np.ones(len(off)), CUSUM_SLACK)
     if max(sums) > _CUSUM_LIMIT:
-        drift = max(state.drift_m_s, off_m_s) if alone else 0.0
-        return replace(state, phase=Phase.STOPPED, held_until_ns=t_ns + int(rules.hold_s * 1e9), sums=(), drift_m_s=drift)
-    return replace(state, sums=sums)
+        return replace(state, sums=(), drift_m_s=max(state.drift_m_s, off_m_s)), True
+    return replace(state, sums=sums), False

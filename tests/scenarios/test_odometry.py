@@ -116,12 +116,13 @@ def test_a_wrong_scale_is_estimated_while_positions_show_it(simulation: Simulati
     assert _ratio(run, simulation, LOST_S, END_S) < 5.4
 
 
-def test_a_scale_that_goes_wrong_in_an_outage_is_held_and_reported(simulation: Simulation) -> None:
+def test_a_scale_that_goes_wrong_in_an_outage_widens_the_covariance_and_is_reported(simulation: Simulation) -> None:
     run = _with(simulation, increments(simulation, 15.0, END_S, scale=lambda t_s: 1.1 if t_s > LOST_S + 10.0 else 1.0))
-    stopped = [s for s in run.statuses if s.topic == TOPIC and "held off" in s.detail]
-    assert stopped
-    assert {h.sources[TOPIC] for h in run.health if h.t_ns > stopped[0].t_ns} == {"stopped", "active"}
-    assert "contradicted the IMU" in run.statuses[-1].detail
+    found = [s for s in run.statuses if s.topic == TOPIC and "has contradicted" in s.detail]
+    assert found
+    assert {h.sources[TOPIC] for h in run.health if h.t_ns > found[0].t_ns} == {"active"}
+    assert run.statuses[-1].reason is Reason.FUSED
+    assert "taken to be wrong by" in run.statuses[-1].detail
     assert "contradicted each other" in run.health[-1].detail
     assert _ratio(run, simulation, LOST_S, END_S) < 5.4
 

@@ -6,8 +6,8 @@ little:
     w_k <- w_k + max(l_k - max_j l_j, -c),   l = ln N(nu; 0, S), or ln of the density of a false one
 
 for the errors of its increments are alike, and a fault of the odometry must not outweigh positions. One that fails the gate is
-left out. Where it contradicts the estimate for good and no position decides who is right, it is held and the covariance covers
-what it said: P <- P + d d^T, d = K nu.
+left out. Where increments contradict the estimate for good, the velocity by which they may be wrong is larger from then on. If no
+position decides who is right, the covariance covers what was said: P <- P + d d^T, d = K nu.
 """
 
 from typing import NamedTuple
@@ -29,7 +29,7 @@ _NO_RATE = np.zeros(3)
 _OVERLAPS = "overlaps with another increment, or begins where there was no estimate"
 _BEGINS, _JUMPED = "the first of its frame", "the pose has jumped by {:.2f} m: begun anew"
 _BREAK, _LOST = "no pose for {:.1f} s: begun anew", "the estimate has jumped since it began"
-_HELD, _DISPUTED = "held off: it contradicts the estimate", "has contradicted the IMU: taken to be wrong by {:.2g} m/s"
+_DISPUTED = "has contradicted the estimate: taken to be wrong by {:.2g} m/s"
 
 
 class Step(NamedTuple):
@@ -99,9 +99,7 @@ def _judge(bank: Hypotheses, aid: OdometryAid, end: Increment, kept: Kept, state
     if end.reported is not None:
         aid, z, spread_m = odometry.widened(aid, z, end.reported, state.spread_m)
         state = replace(state, spread_m=spread_m)
-    if state.drift_m_s:
-        dispute = odometry.disputed(aid.topic, state.drift_m_s, seconds)
-        aid = replace(aid, slow_errors=(*aid.slow_errors, dispute))
+    aid = odometry.drifting(aid, state, seconds)
     seen = [innovation(m.filter, aid, z, _NO_RATE) if block in m.filter.clones else None for m in bank.members]
     first = seen[0]
     assert first is not None
@@ -111,25 +109,23 @@ def _judge(bank: Hypotheses, aid: OdometryAid, end: Increment, kept: Kept, state
         s is not None and o is not None and s.distance2 <= limit and bool(o.max() <= widest)
         for s, o in zip(seen, off, strict=True)
     ]
-    was = state.phase
+    is_active = state.phase is Phase.ACTIVE
     moved = z.rows < _XYZ if (z.rows < _XYZ).any() else z.rows >= _XYZ
     drift = first.nu[moved] / np.sqrt(first.s.diagonal()[moved])
     off_m_s = float(np.linalg.norm(first.nu[z.rows < _XYZ])) / seconds
-    state = odometry.judged(state, aid.rules, aid.t_ns, alone=alone, passed=passed[0], off=drift, off_m_s=off_m_s)
-    fused = was is Phase.ACTIVE and state.phase is Phase.ACTIVE and passed[0]
-    if was is Phase.ACTIVE and state.phase is Phase.ACTIVE:
+    state, is_found = odometry.judged(state, alone=alone, passed=passed[0], off=drift, off_m_s=off_m_s)
+    fused = is_active and passed[0] and not is_found
+    if is_active and not is_found:
         _fuse(bank, aid, seen, passed)
-    elif was is Phase.ACTIVE and alone:
+    elif is_found and alone:
         for member, s in zip(bank.members, seen, strict=True):
             if s is not None:
                 member.filter.cover(s)
     for member in bank.members:
         if block in member.filter.clones:
             member.filter.forget(block)
-    reason = Reason.FUSED if fused else Reason.GATED
-    if not fused and passed[0]:
-        reason = Reason.PROBATION if was is Phase.STARTING else Reason.STOPPED
-    said = _HELD if state.phase is Phase.STOPPED else _DISPUTED.format(state.drift_m_s) if state.drift_m_s else ""
+    reason = Reason.FUSED if fused else Reason.PROBATION if passed[0] and not is_active else Reason.GATED
+    said = _DISPUTED.format(state.drift_m_s) if state.drift_m_s else ""
     return Step(reason, said, kept._replace(name=b""), state if not fused else replace(state, fused_ns=aid.t_ns), first, limit)
 
 

@@ -29,7 +29,7 @@ class Rules(msgspec.Struct, frozen=True):
 RULES: Final = {
     "pose": Rules(),
     "gnss": Rules(false_share=0.01, probation=10, hold_s=10.0),
-    "odometry": Rules(false_share=0.01, probation=4, hold_s=10.0),
+    "odometry": Rules(false_share=0.01, probation=4),
     "velocity_body": Rules(false_share=0.01, hold_s=5.0, spacing_s=0.1),
     "airspeed": Rules(false_share=0.01, hold_s=30.0, spacing_s=0.2),
     "drag": Rules(hold_s=30.0),
