@@ -3,12 +3,12 @@
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
 
 from estimator.frontend.key_frames import KeyFrames, VisualOdometryConfig
 from estimator.frontend.requests import Pair, Track, VisionConfig
 from estimator.service.base.clock import Clock, Stamps
-from estimator.service.vision.worker import VisionWorker, answer_until_closed
+from estimator.service.vision.wire import Asked, Drawing
+from estimator.service.vision.worker import Respond, VisionWorker, answer_until_closed
 from logs.wire.codec import Encoded, decode_odometry_request, encode
 from models.messages import ODOMETRY_DELTA_TOPIC
 
@@ -16,16 +16,15 @@ from models.messages import ODOMETRY_DELTA_TOPIC
 def serve_odometry(pipe: Connection, rig_file: Path) -> None:
     """The process: a question is the bytes of a request and its two pairs."""
 
-    def load() -> tuple[int, Callable[[Any], Any]]:
+    def load() -> tuple[int, Respond]:
         from estimator.frontend.files import load_odometry  # noqa: PLC0415  (OpenCV is loaded in this process only)
 
         processor = load_odometry(rig_file)
 
-        def answer(asked: Any) -> Any:
-            data, first, second = asked
-            return processor.process(decode_odometry_request(data, 0), first, second)
+        def respond(to: Asked) -> list[Encoded]:
+            return [] if isinstance(to, Drawing) else processor.process(decode_odometry_request(to.request, 0), *to.pairs)
 
-        return processor.time_offset_ns, answer
+        return processor.time_offset_ns, respond
 
     def warm() -> None:
         from estimator.service.vision.warm_up import warm_up_odometry  # noqa: PLC0415
@@ -58,13 +57,13 @@ class OdometryWorker(VisionWorker):
     def _target() -> Callable[..., None]:
         return serve_odometry
 
-    def _question(self, pair: Pair, asked_ns: int) -> tuple[Encoded, tuple[Any, ...]] | None:
+    def _question(self, pair: Pair, asked_ns: int) -> tuple[Encoded, list[Pair]] | None:
         asked = self._key_frames.request(pair, self._track, asked_ns)
         if asked is None:
             return None
         request, first = asked
         (message,) = encode(request)
-        return message, (first, pair)
+        return message, [first, pair]
 
 
 def vision_config(config: VisualOdometryConfig, vision: VisionConfig) -> VisionConfig:

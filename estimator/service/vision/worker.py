@@ -13,7 +13,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from estimator.frontend.requests import Pair, Pairing, Shot, Track, VisionConfig
 from estimator.frontend.workers import SPAWNED
@@ -21,6 +21,20 @@ from estimator.map_files.image_file import ImageFile
 from estimator.publish import Pace
 from estimator.service.base.clock import SECOND_NS, Clock, Stamps
 from estimator.service.base.ports import Arrival, Screen
+from estimator.service.vision.wire import (
+    Answer,
+    Asked,
+    Compiling,
+    Drawing,
+    MalformedError,
+    Question,
+    Ready,
+    Said,
+    Unable,
+    asked,
+    said,
+    send,
+)
 from estimator.strict_toml import ConfigError
 from logs.wire.codec import Encoded, decode_vision_request, encode
 from logs.wire.decoding import LANDMARK_FIX_TOPIC
@@ -36,34 +50,27 @@ _FIRST_BACKOFF_S, _LONGEST_BACKOFF_S = 0.5, 10.0
 _GOOD_ANSWERS: Final = 50  # in a row, until the back-off begins anew: seconds of sight, not one answer between two failures
 _IDLE_S: Final = 0.05
 _WAITING: Final = 8  # images
+_QUIET_NS: Final = 2 * SECOND_NS  # without an image, or without an answer, and it does not see
 
 
-class Compiling(NamedTuple):
-    """From the process: it compiles this kernel now, and everything waits; "": it is done, seconds later."""
-
-    kernel: str
-    seconds: float = 0.0
+Respond = Callable[[Asked], list[Encoded]]
 
 
 def serve(pipe: Connection, rig_file: Path, map_file: Path | None, origin: Vec3 | None, image: ImageFile | None) -> None:
-    """The process: answers requests until the pipe is closed; first sends the cameras' time offset [ns], or the reason for no
-    vision.
+    """The process: answers the questions and draws until the pipe is closed."""
 
-    A request: its bytes and two images, or a mode, for which the last image is drawn. Compiling may come before the answer.
-    """
-
-    def load() -> tuple[int, Callable[[Any], Any]]:
+    def load() -> tuple[int, Respond]:
         from estimator.frontend.files import load_processor  # noqa: PLC0415  (OpenCV is loaded in this process only)
 
         processor = load_processor(rig_file, map_file, origin, image)
 
-        def answer(asked: Any) -> Any:
-            if isinstance(asked, str):
-                return (processor.draw(asked),)
-            data, left, right = asked
-            return processor.process(decode_vision_request(data, 0), (left, right))
+        def respond(to: Asked) -> list[Encoded]:
+            if isinstance(to, Drawing):
+                drawn = processor.draw(to.mode)
+                return [] if drawn is None else [drawn]
+            return processor.process(decode_vision_request(to.request, 0), to.pairs[0])
 
-        return processor.time_offset_ns, answer
+        return processor.time_offset_ns, respond
 
     def warm() -> None:
         from estimator.service.vision.warm_up import warm_up  # noqa: PLC0415
@@ -73,23 +80,26 @@ def serve(pipe: Connection, rig_file: Path, map_file: Path | None, origin: Vec3 
     answer_until_closed(pipe, load, warm)
 
 
-def answer_until_closed(pipe: Connection, load: Callable[[], tuple[int, Callable[[Any], Any]]], warm: Callable[[], None]) -> None:
-    """load() gives the cameras' time offset [ns] and what answers, or raises ConfigError; warm() compiles what answers need."""
+def answer_until_closed(pipe: Connection, load: Callable[[], tuple[int, Respond]], warm: Callable[[], None]) -> None:
+    """load() gives the cameras' time offset [ns] and what answers, or raises ConfigError; warm() compiles what answers need.
+
+    Says first that it is Ready, or Unable. Before that and before each answer there may be any number of Compiling.
+    """
     _give_way()
     from estimator.service.base.compilation import listen  # noqa: PLC0415  (numba is slow to import)
 
     try:
-        time_offset_ns, answer = load()
+        time_offset_ns, respond = load()
     except ConfigError as error:
-        pipe.send(str(error))
+        send(pipe, Unable(str(error)))
         return
     with suppress(BrokenPipeError):
-        listen(lambda kernel, seconds: pipe.send(Compiling(kernel, seconds)))
+        listen(lambda kernel, seconds: send(pipe, Compiling(kernel, seconds)))
         warm()
-        pipe.send((time_offset_ns,))
+        send(pipe, Ready(time_offset_ns))
     with suppress(EOFError, BrokenPipeError):
         while True:
-            pipe.send(answer(pipe.recv()))
+            send(pipe, Answer(respond(asked(pipe))))
 
 
 def _give_way() -> None:
@@ -128,7 +138,8 @@ class VisionWorker:
         self._backoff_s = _FIRST_BACKOFF_S
         self._state = "starting"
         self._pairs = self._answers = self._fixes = self._dropped = self._unplaced = self._drawn = 0
-        self._good = self._compiled = 0
+        self._good = self._compiled = self._malformed = self._answered_ns = 0
+        self._asked_ns: int | None = None  # since then a question is out
         self._latency_s = self._compiled_s = 0.0
         self._compiling = ""
         self._thread = threading.Thread(target=self._work, name="vision", daemon=True)
@@ -158,7 +169,7 @@ class VisionWorker:
     def report(self) -> dict[str, Any]:
         """For the status."""
         return {
-            "state": self._state,
+            "state": self._state_now(),
             "pairs": self._pairs,
             "answers": self._answers,
             "fixes": self._fixes,
@@ -166,11 +177,19 @@ class VisionWorker:
             "images_of_unknown_time": self._unplaced,
             "overlays": self._drawn,
             "restarts": self._run,
+            "malformed_answers": self._malformed,
             "compiling": self._compiling,
             "compiled_in_flight": self._compiled,
             "compiled_in_flight_s": round(self._compiled_s, 1),
             "latency_ms": round(1e3 * self._latency_s, 1),
         }
+
+    def _state_now(self) -> str:
+        """It sees only as long as images and answers come."""
+        now_ns, asked_ns = self._clock.now_ns(), self._asked_ns
+        if self._state != "seeing" or now_ns - (asked_ns or self._answered_ns) < _QUIET_NS:
+            return self._state
+        return "waiting for images" if asked_ns is None else "waiting for an answer"
 
     # --- the thread -----------------------------------------------------------------------------------------------------
 
@@ -180,6 +199,9 @@ class VisionWorker:
             try:
                 if self._process is not None or self._start():
                     self._turn(pairing)
+            except MalformedError as error:
+                self._malformed += 1
+                self._restart(str(error))
             except Exception as error:  # a defect of ours costs an image and a restart, not the sight for the rest of the flight
                 self._restart(f"{type(error).__name__}: {error}")
 
@@ -205,41 +227,41 @@ class VisionWorker:
         question = self._question(pair, asked_ns)
         if question is None:
             return
-        message, images = question
+        message, pairs = question
         self._tell(message)
-        answers: list[Encoded] | None = self._exchange((message.data, *images), self._patience_s())
+        self._asked_ns = asked_ns
+        answers = self._answers_to(Question(message.data, pairs))
         if answers is None:
             self._restart("does not answer")
             return
         for answer in answers:
             self._tell(answer)
-        self._state = "seeing"
+        self._state, self._asked_ns, self._answered_ns = "seeing", None, self._clock.now_ns()
         self._answers += 1
         self._good += 1
         if self._good >= _GOOD_ANSWERS:
             self._backoff_s = _FIRST_BACKOFF_S
         self._fixes += any(answer.topic == self._measurement for answer in answers)
-        self._latency_s = (self._clock.now_ns() - asked_ns) / SECOND_NS
+        self._latency_s = (self._answered_ns - asked_ns) / SECOND_NS
         if self._screen and self._screen.watched() and self._overlay_pace.due(pair.t_ns):
             self._draw(self._screen)
 
-    def _question(self, pair: Pair, asked_ns: int) -> tuple[Encoded, tuple[Any, ...]] | None:
-        """The request for a pair, and the images that go with it; None where there is nothing to be asked."""
+    def _question(self, pair: Pair, asked_ns: int) -> tuple[Encoded, list[Pair]] | None:
+        """The request for a pair, and the pairs that go with it; None where there is nothing to be asked."""
         request = self._track.request(pair, asked_ns, self._run)
         if request is None:
             self._state = "waiting for an estimate"
             return None
         (message,) = encode(request)
-        return message, (pair.left, pair.right)
+        return message, [pair]
 
     def _draw(self, screen: Screen) -> None:
         """The image just answered for, with the map drawn in; the answer is out already."""
-        drawn: tuple[Encoded | None] | None = self._exchange(self._track.mode, self._patience_s())
+        drawn = self._answers_to(Drawing(self._track.mode))
         if drawn is None:
             self._restart("does not draw")
             return
-        (image,) = drawn
-        if image is not None:
+        for image in drawn:
             self._drawn += 1
             screen.show(image)
 
@@ -252,20 +274,27 @@ class VisionWorker:
         """timeout_s; twice as long after each restart: what takes long once comes to its end."""
         return self._config.timeout_s * self._backoff_s / _FIRST_BACKOFF_S
 
-    def _exchange(self, question: Any, patience_s: float) -> Any:
-        """The process's answer; None: dead, or killed for its time. A compiled kernel restarts the time, up to a limit."""
+    def _answers_to(self, question: Asked) -> list[Encoded] | None:
+        """The process's messages; None where it gives none in time. Raises MalformedError."""
+        answer = self._exchange(question, self._patience_s())
+        if answer is None or isinstance(answer, Answer):
+            return None if answer is None else answer.messages
+        raise MalformedError(f"a malformed answer: {type(answer).__name__}")
+
+    def _exchange(self, question: Asked | None, patience_s: float) -> Said | None:
+        """What the process says; None: dead, or killed for its time. A compiled kernel restarts the time, up to a limit."""
         assert self._process is not None
         assert self._pipe is not None
         answered, end_s = self._killed_in(patience_s), time.monotonic() + _ALL_COMPILED_S
         try:
             if question is not None:
-                self._pipe.send(question)
-            while isinstance(said := self._pipe.recv(), Compiling):
+                send(self._pipe, question)
+            while isinstance(message := said(self._pipe), Compiling):
                 answered.set()
-                allowed_s = _COMPILE_S if said.kernel else patience_s
+                allowed_s = _COMPILE_S if message.kernel else patience_s
                 answered = self._killed_in(min(allowed_s, max(end_s - time.monotonic(), 0.0)))
-                self._note(said)
-            return said
+                self._note(message)
+            return message
         except (EOFError, OSError):
             return None
         finally:
@@ -304,11 +333,11 @@ class VisionWorker:
         theirs.close()
         if self._stopping.is_set():
             return False
-        ready = self._exchange(None, _START_S) or "does not start"
-        if isinstance(ready, str):
-            self._restart(ready)
+        ready = self._exchange(None, _START_S)
+        if not isinstance(ready, Ready):
+            self._restart(ready.reason if isinstance(ready, Unable) else "does not start")
             return False
-        (self._offset_ns,), self._state, self._warm = ready, "ready", True
+        self._offset_ns, self._state, self._warm = ready.time_offset_ns, "ready", True
         self._shots.clear()
         return True
 
@@ -329,5 +358,5 @@ class VisionWorker:
         if self._process is not None:
             self._process.kill()
             self._process.join(timeout=1.0)
-        self._process = self._pipe = None
+        self._process = self._pipe = self._asked_ns = None
         self._warm, self._compiling = False, ""

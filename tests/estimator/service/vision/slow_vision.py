@@ -1,7 +1,8 @@
-"""Vision's process with something slow in its looks: a kernel that takes seconds to compile, or answers that take long."""
+"""Vision's process with something wrong in its looks: a kernel that compiles for seconds, answers that take long or are none."""
 
 import time
 from collections.abc import Callable, Sequence
+from multiprocessing.connection import Connection
 from typing import Any
 
 from numba import njit
@@ -9,6 +10,7 @@ from numba.extending import overload
 
 from estimator.frontend.processor import Processor
 from estimator.service.vision import warm_up as vision_warm_up
+from estimator.service.vision.wire import Ready, asked, send
 from estimator.service.vision.worker import serve
 
 SECONDS = 4.5  # longer than the patience of the tests' workers, shorter than twice that
@@ -28,6 +30,14 @@ def every_other_look_is_slow(*args: Any) -> None:
     """Looks 2, 4, 6 ... take longer than the first patience, and nothing is compiled."""
     looks = iter(range(1, 1000))
     _serve(lambda: time.sleep(0.0 if next(looks) % 2 else SECONDS), *args)
+
+
+def answers_with_a_pickle(pipe: Connection, *_: Any) -> None:
+    """Ready at once; then each answer is a malformed one."""
+    send(pipe, Ready(0))
+    while True:
+        asked(pipe)
+        pipe.send([])
 
 
 def _serve(first: Callable[[], object], *args: Any) -> None:

@@ -110,7 +110,7 @@ def shared(files: Path) -> Iterator[Seeing]:
 def seeing(shared: Seeing) -> Seeing:
     """The shared worker at rest, what it sent before forgotten."""
     worker, heard, take = shared
-    _until(lambda: worker.report()["state"] in {"ready", "seeing"})
+    _until(lambda: worker.report()["state"] in {"ready", "seeing", "waiting for images"})
     heard.forget()
     return worker, heard, take
 
@@ -196,6 +196,28 @@ def test_an_answer_between_two_failures_does_not_shorten_the_patience_again(file
                 take()
                 heard.wait("/landfix/vision", answers)
         assert worker.report()["restarts"] == 1
+
+
+def test_a_malformed_answer_costs_one_restart_and_is_counted(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(vision_worker, "serve", slow_vision.answers_with_a_pickle)
+    with _worker(files) as (worker, heard, take):
+        take()
+        _until(lambda: worker.report()["restarts"] == 1 and worker.report()["state"] == "ready")
+        assert worker.report()["malformed_answers"] == 1
+        assert [m.topic for m in heard.messages] == ["/landfix/vision_request"]
+
+
+def test_it_is_not_seeing_while_it_waits(seeing: Seeing, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(vision_worker, "_QUIET_NS", 300_000_000)
+    worker, heard, take = seeing
+    take()
+    heard.wait("/landfix/vision", 1)
+    _until(lambda: worker.report()["state"] == "waiting for images")
+    os.kill(_process_id(worker), signal.SIGSTOP)
+    take()
+    _until(lambda: worker.report()["state"] == "waiting for an answer")
+    os.kill(_process_id(worker), signal.SIGCONT)
+    heard.wait("/landfix/vision", 2)
 
 
 def test_a_map_that_is_not_there_is_said_and_tried_again_ever_more_rarely(files: Path, tmp_path: Path) -> None:
