@@ -28,6 +28,7 @@ from estimator.strict_toml import ConfigError
 from logs.wire.codec import Decoder, ImuMounting, Topics
 from models.imu import Coast, ImuNoise
 from models.untrusted import toml_text
+from models.untrusted.file import opened
 
 __all__ = ["Config", "ConfigError", "load", "parse", "read", "with_origin"]
 
@@ -225,7 +226,7 @@ def load(path: Path | None) -> Config:
 def read(path: Path) -> Config:
     """What stands in the file; none of the files that it names is examined. Raises ConfigError, as load does."""
     try:
-        with path.open("rb") as file:
+        with opened(path) as file:
             text = toml_text.decode(file.read(toml_text.MOST_BYTES + 1))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({(error.strerror or 'unknown error').lower()})") from None

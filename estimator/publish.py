@@ -11,6 +11,7 @@ from estimator.strict_toml import ConfigError
 from logs.store.reader import Attachment
 from logs.wire.codec import Encoded, encode, encode_slow
 from models.messages import Estimate, Output
+from models.untrusted.file import content
 
 OVERLAY_TOPIC = "/landfix/overlay"
 
@@ -18,7 +19,7 @@ OVERLAY_TOPIC = "/landfix/overlay"
 def file_attachment(kind: str, path: Path) -> Attachment:
     """A file that the configuration names (`calibration`, `map`), as a log keeps it. Raises ConfigError."""
     try:
-        return Attachment(f"{kind}/{path.name}", "application/octet-stream", path.read_bytes())
+        return Attachment(f"{kind}/{path.name}", "application/octet-stream", content(path))
     except OSError as error:
         raise ConfigError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
 

@@ -41,7 +41,7 @@ def of(name: str) -> list[bytes]:
         case "overpass":
             return [_overpass()]
         case "geotiff":
-            return [_image(".tif"), _image(".png"), _image(".jpg")]
+            return [image(".tif"), image(".png"), image(".jpg")]
         case "route":
             return [
                 b'<gpx><trk><trkseg><trkpt lat="47.4" lon="8.5"/><trkpt lat="47.5" lon="8.6"/></trkseg></trk></gpx>',
@@ -107,7 +107,8 @@ def _overpass() -> bytes:
     return json.dumps({"elements": [*nodes, way, relation]}).encode()
 
 
-def _image(ending: str) -> bytes:
+def image(ending: str) -> bytes:
+    """A small one of that format."""
     image = np.random.default_rng(1).integers(0, 255, (40, 60, 3), dtype=np.uint8)
     _, data = cv2.imencode(ending, image)
     return data.tobytes()

@@ -14,6 +14,7 @@ from calib.files import kalibr, opencv, rig_yaml, ros
 from calib.files.plain_yaml import parse
 from models.camera import CameraModel, StereoRig
 from models.messages import Array
+from models.untrusted.file import content
 
 __all__ = [
     "BodyPose",
@@ -202,11 +203,7 @@ def _is_opencv(text: str) -> bool:
 
 def _read(path: Path) -> str:
     try:
-        with path.open("rb") as file:
-            data = file.read(_MOST_BYTES + 1)
-        if len(data) > _MOST_BYTES:
-            raise CalibrationError(f"{path}: is larger than {_MOST_BYTES:_} bytes: no rig or camera file")
-        return data.decode("utf-8")
+        return content(path, _MOST_BYTES).decode("utf-8")
     except FileNotFoundError:
         raise CalibrationError(f"{path}: no such file") from None
     except (UnicodeDecodeError, IsADirectoryError):

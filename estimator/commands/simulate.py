@@ -39,8 +39,9 @@ def command(
     from estimator.replay.simulate import write
     from models.sim.scenario import simulate
     from models.sim.scenario_file import loads
+    from models.untrusted.file import content
 
-    plan = loads(scenario.read_bytes(), str(scenario))
+    plan = loads(content(scenario), str(scenario))
     simulation = simulate(plan, seed)
     config, text = out.with_suffix(".toml"), simulation.config_toml
     with progress(f"simulate {scenario.stem}") as report:

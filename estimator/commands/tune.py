@@ -51,6 +51,8 @@ def command(
       landfix tune monday.mcap -c vehicle.toml -o tuned.toml --hold-out friday.mcap
       landfix tune *.mcap -c vehicle.toml -o tuned.toml --scheduler tcp://10.0.0.5:8786
     """
+    from os.path import realpath
+
     from estimator.config import load
     from estimator.tools.fleet.engine import executor
     from estimator.tools.fleet.store import is_stored
@@ -60,7 +62,7 @@ def command(
     from logs.store.reader import check_output
 
     text = load(config).toml()
-    names, held_out = ([log if is_stored(log) else str(Path(log).resolve()) for log in some] for some in (logs, hold_out or ()))
+    names, held_out = ([log if is_stored(log) else realpath(log) for log in some] for some in (logs, hold_out or ()))
     if again := set(names) & set(held_out):
         raise TuneError(f"{min(again)}: is tuned on, so it cannot be held out")
     check_output(out, *(Path(log) for log in (*names, *held_out) if not is_stored(log)))

@@ -12,6 +12,7 @@ from estimator.map_files.keypoints import keypoints
 from models.maps import projection
 from models.maps.table import MapError
 from models.messages import Array, Vec3
+from models.untrusted.file import content
 from vision.ground.features import FeatureMap
 from vision.ground.image import GroundImage, Heights
 from vision.ground.learned import Learned, Model, ModelError
@@ -54,8 +55,8 @@ def _learned(files: LearnedFiles | None) -> Learned | None:
     """The models, where given. Raises MapError, one line; OSError where one cannot be read."""
     if files is None:
         return None
-    extractor = Model(str(files.extractor), files.extractor.read_bytes(), files.extractor_sha256)
-    matcher = Model(str(files.matcher), files.matcher.read_bytes(), files.matcher_sha256)
+    extractor = Model(str(files.extractor), content(files.extractor), files.extractor_sha256)
+    matcher = Model(str(files.matcher), content(files.matcher), files.matcher_sha256)
     try:
         return Learned(extractor, matcher)
     except ModelError as error:

@@ -22,7 +22,9 @@ from models.maps.landmarks import LandmarkMap
 from models.maps.table import MapError
 from models.messages import Array
 from models.untrusted.boundary import refusing
+from models.untrusted.file import content, opened
 from models.untrusted.image_header import image_header_of_file, too_large
+from models.untrusted.limits import PIPE_BYTES
 
 _SCALE, _TIEPOINT, _TRANSFORM, _KEYS = 33550, 33922, 34264, 34735  # GeoTIFF tags
 _RASTER, _GEOGRAPHIC, _PROJECTED, _POINT = 1025, 2048, 3072, 2  # GeoTIFF keys; a pixel's place is its centre
@@ -93,7 +95,7 @@ def _decode(path: Path, flags: int) -> cv2.typing.MatLike:
     reason = too_large(header, path.stat().st_size, _MOST_PIXELS) if header else _NO_IMAGE
     if reason:
         raise MapError(f"{path}: {reason}")
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # it does not know GeoTIFF's tags, and says so
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what is wrong stands in our own line
     try:
         image = cv2.imread(str(path), flags)
     except cv2.error:
@@ -165,7 +167,7 @@ def _world_file(path: Path) -> Array | None:
     for candidate in (_world_name(path), path.with_suffix(".wld"), Path(f"{path}w")):
         if candidate.exists():
             try:
-                numbers = np.array([float(word) for word in candidate.read_text().split()])
+                numbers = np.array([float(word) for word in content(candidate, PIPE_BYTES).decode().split()])
                 affine: Array = numbers.reshape(3, 2).T
             except ValueError:
                 raise MapError(f"{candidate}: not a world file of six numbers") from None
@@ -188,7 +190,7 @@ def _tiff_affine(tags: dict[int, tuple[float, ...]]) -> Array:
 def _prj(path: Path) -> int:
     """EPSG code by the .prj (WKT) beside an image: its own, or that of WGS 84 or its UTM by name; 0 where neither."""
     try:
-        text = path.with_suffix(".prj").read_text(errors="replace")
+        text = content(path.with_suffix(".prj"), PIPE_BYTES).decode(errors="replace")
     except OSError:
         return 0
     code = re.search(r'(?:AUTHORITY|ID)\s*\[\s*"EPSG"\s*,\s*"?(\d{4,6})"?\s*\]\s*\]\s*$', text)
@@ -221,7 +223,7 @@ def _key(tags: dict[int, tuple[float, ...]], key: int) -> int:
 
 def _tags(path: Path) -> dict[int, tuple[float, ...]]:
     """Numbers of a classic TIFF's geographic tags; none of anything else."""
-    with path.open("rb") as file:
+    with opened(path) as file:
         order = {b"II*\0": "<", b"MM\0*": ">"}.get(file.read(4))
         if order is None:
             return {}

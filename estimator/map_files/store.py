@@ -7,13 +7,14 @@ from models.maps.landmarks import LandmarkMap
 from models.maps.table import Defaults, MapError
 from models.messages import Vec3
 from models.untrusted.boundary import refusing
+from models.untrusted.file import content, opened
 
 _HEAD = 4096  # bytes: where a map of ours says its origin
 
 
 def load(path: Path, defaults: Defaults | None = None) -> LandmarkMap:
     """The map of a file. Raises MapError, one line that names the file; OSError where it cannot be read."""
-    data = path.read_bytes()
+    data = content(path)
     try:
         with refusing(MapError, "the map"):
             return LandmarkMap.from_geojson(data, defaults)
@@ -23,6 +24,6 @@ def load(path: Path, defaults: Defaults | None = None) -> LandmarkMap:
 
 def origin(path: Path) -> Vec3:
     """Origin of a map file, from its head where it is there. Raises as load does."""
-    with path.open("rb") as file, refusing(MapError, path):
+    with opened(path) as file, refusing(MapError, path):
         own = geojson.origin_of(file.read(_HEAD))
     return own or load(path).origin

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
-from hashlib import file_digest, sha256
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
@@ -24,7 +24,7 @@ from estimator.service.base.status import Status
 from estimator.service.console import Console
 from estimator.service.daemon import Daemon, ServiceConfig
 from estimator.service.log import state_file
-from estimator.service.log.recovery import claim, recover_in_background
+from estimator.service.log.recovery import FolderLock, recover_in_background
 from estimator.service.log.state_file import StateKeeper
 from estimator.service.log.writer import LogConfig, LogWriter
 from estimator.service.mavlink.config import MavlinkConfig
@@ -41,6 +41,7 @@ from logs.store.reader import Attachment
 from logs.store.recorder import CONFIG_ATTACHMENT
 from logs.wire import schemas
 from logs.wire.codec import CHECKPOINT_TOPIC, TICK_TOPIC, Decoder, ImuMounting, Topics
+from models.untrusted.file import content
 
 if TYPE_CHECKING:
     from estimator.service.mavlink.link import MavlinkLink
@@ -137,15 +138,16 @@ def assembled(
     logs = Path(config.log.folder)
     state_path = logs / config.service.state_file if config.service.state_file else None
     with ExitStack() as stack:
-        if config.log.enabled or state_path:
-            stack.enter_context(claim(logs))
+        hold: Callable[[], None] = (
+            stack.enter_context(FolderLock(logs)).hold if config.log.enabled or state_path else lambda: None
+        )
         saved, why = state_file.load(state_path) if state_path else (None, "")
         if why:
             console.say(f"{state_path}: {why}; the daemon starts anew, and writes it anew")
         clock = clock or state_file.clock_of(saved)
         if config.log.enabled and (recovery := recover_in_background(logs)):
             threading.Thread(target=recovery.wait, name="recovery", daemon=True).start()  # it may take longer than we live
-        log = _log(stack, config, clock, attachments, _metadata(config, folder, digest), console)
+        log = _log(stack, config, clock, attachments, _metadata(config, folder, digest), console, hold)
         keeper = _keeper(stack, state_path, clock, digest)
         stamps, images = Stamps(clock, config.clock), config.inputs.left_image + config.inputs.right_image
         bus = _bus(stack, config, folder, clock, images)
@@ -279,21 +281,26 @@ def _metadata(config: RunConfig, folder: Path, digest: str) -> dict[str, str]:
     if image is None:
         return known
     try:
-        with image.path.open("rb") as file:
-            return known | {"picture": image.path.name, "picture_sha256": file_digest(file, "sha256").hexdigest()}
+        return known | {"picture": image.path.name, "picture_sha256": sha256(content(image.path)).hexdigest()}
     except OSError as error:
         raise ConfigError(f"{image.path}: {(error.strerror or 'cannot be read').lower()}") from None
 
 
 def _log(
-    stack: ExitStack, config: RunConfig, clock: Clock, attachments: list[Attachment], metadata: dict[str, str], console: Console
+    stack: ExitStack,
+    config: RunConfig,
+    clock: Clock,
+    attachments: list[Attachment],
+    metadata: dict[str, str],
+    console: Console,
+    hold: Callable[[], None],
 ) -> LogWriter | _NoLog:
     if not config.log.enabled:
         console.say("log: off ([log] enabled)")
         return _NoLog()
     began = datetime.fromtimestamp(clock.now_ns() / SECOND_NS, UTC)
     stem = Path(config.log.folder) / f"landfix-{began:%Y%m%dT%H%M%S}{began.microsecond // 1000:03d}Z"
-    log = LogWriter(config.log, lambda n: stem.with_name(f"{stem.name}-{n:03d}.mcap"), metadata, attachments)
+    log = LogWriter(config.log, lambda n: stem.with_name(f"{stem.name}-{n:03d}.mcap"), metadata, attachments, hold)
     console.say(f"log: {stem}-*.mcap")
     stack.callback(lambda: console.closed(log.files, log.state.lost_inputs))  # callbacks run in reverse order: after log.close
     stack.callback(log.close)

@@ -189,7 +189,7 @@ def _finite(value: float) -> float | None:
 
 def _names(paths: Sequence[str]) -> list[str]:
     """File names where they differ, else paths from the folder that all are in; without .mcap."""
-    whole = [Path(path.removesuffix(".mcap")).resolve() for path in paths]
+    whole = [Path(os.path.realpath(path.removesuffix(".mcap"))) for path in paths]
     if len({path.name for path in whole}) == len(paths):
         return [path.name for path in whole]
     folder = os.path.commonpath([path.parent for path in whole])

@@ -14,6 +14,7 @@ Every file may have arrived_s. Stamps since the log's start count from `t0_unix_
 """
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +44,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     if not source.is_dir():
         raise LogError(f"{source}: not a folder; csv needs the folder that holds imu.csv")
     notes: list[str] = []
-    known = data_set(source.resolve())
+    known = data_set(Path(os.path.realpath(source)))
     checks = _checks(source)
     reader = _Reader(source, checks.get("t0_unix_ns"), notes)
     B = frames.body_axes(options.axes or known.axes)

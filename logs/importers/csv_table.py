@@ -15,6 +15,7 @@ from logs.importers.recording import EPOCH_NS, Times
 from logs.store.reader import LogError
 from models.frames import GRAVITY
 from models.messages import Array
+from models.untrusted.file import content
 from models.untrusted.gzip import GzipFile
 
 DEG = np.pi / 180.0
@@ -175,7 +176,7 @@ def _text(path: Path) -> tuple[str, bool]:
     """The text of a file, unpacked, and whether its end is missing."""
     try:
         if path.suffix != ".gz":
-            data, torn = path.read_bytes(), False
+            data, torn = content(path), False
         else:
             with GzipFile(path) as file:
                 data, torn = file.readall(), file.torn

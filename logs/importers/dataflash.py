@@ -30,6 +30,7 @@ from logs.importers.recording import DEFAULTS, EPOCH_NS, ImportOptions, Progress
 from logs.importers.settings import Settings
 from logs.store.reader import LogError
 from models.messages import Array, Vec3
+from models.untrusted.file import opened
 
 _MAGIC = b"\xa3\x95"
 _TIME = "time_us"  # since boot; the first column of every table
@@ -111,7 +112,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
 def _open(source: Path) -> Any:
     """pymavlink's reader. Raises LogError."""
     try:
-        with source.open("rb") as file:
+        with opened(source) as file:
             magic = file.read(len(_MAGIC))
     except OSError as error:
         raise LogError(f"{source}: {error.strerror}") from None

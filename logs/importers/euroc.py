@@ -19,6 +19,7 @@ from logs.importers.settings import DATA_SETS, Settings
 from logs.store.reader import LogError
 from models.imu import ImuNoise
 from models.messages import Array
+from models.untrusted.file import content
 
 TRUTHS = ("state_groundtruth_estimate0", "mocap0", "vicon0", "leica0")
 
@@ -74,7 +75,7 @@ def _truth(mav: Path, W: Array, B: Array, notes: list[str]) -> Stream | None:
 
 def _noise(path: Path) -> tuple[ImuNoise | None, str]:
     """The data sheet's noise as sensor.yaml has it, made effective; None where it is not all there."""
-    text = path.read_text(errors="replace") if path.is_file() else ""
+    text = content(path).decode(errors="replace") if path.is_file() else ""
     values = {}
     for name, (key, factor) in _SHEET.items():
         match = re.search(rf"^\s*{key}:\s*([-+.\deE]+)", text, re.MULTILINE)

@@ -32,6 +32,7 @@ from logs.store.reader import LogError
 from logs.wire.increments import SEEN_FROM_OUTSIDE
 from models.frames import GRAVITY
 from models.messages import Array, Vec3
+from models.untrusted.file import opened
 
 _MILLI_G = GRAVITY * 1e-3
 _RAW = ("xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc", "xmag", "ymag", "zmag")
@@ -187,7 +188,7 @@ def _of(component: int, rows: Mapping[int, list[list[float]]]) -> list[list[floa
 def _open(source: Path) -> Any:
     """pymavlink's reader, at the first frame: by the first bytes it decides on the version of MAVLink for the whole file."""
     try:
-        with source.open("rb") as file:
+        with opened(source) as file:
             frame = _FRAME.search(file.read(_BEGINNING))
         log: Any = mavutil.mavlogfile(str(source))
     except OSError as error:

@@ -23,6 +23,7 @@ from mcap.records import Attachment, Channel, Chunk, Footer, Header, McapRecord,
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from logs.store.chunks import content_of
+from models.untrusted.file import opened
 from models.untrusted.limits import TooLargeError, allowed, check_records
 
 RawMessage: TypeAlias = tuple[int, int, int, int, bytes]
@@ -79,7 +80,7 @@ class RecordFile:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
         try:
-            self._file = self.path.open("rb")
+            self._file = opened(self.path)
         except IsADirectoryError:
             raise LogError(f"{path}: is a directory; name the .mcap file inside it") from None
         except OSError as error:

@@ -74,7 +74,8 @@ def _rewrite(records: RecordFile, path: Path, progress: Callable[[float], None] 
     count = attachments = metadata = 0
     channels: dict[int, int] = {}
     schemas = {0: 0}  # 0: none
-    with path.open("wb") as file:
+    path.unlink(missing_ok=True)  # of one that was killed; a link in its place is not followed
+    with path.open("xb") as file:
         writer = McapWriter(file, _CHUNK_BYTES)
         writer.start(profile=records.profile, library="landfix recover")
         for channel_id, sequence, log_time, publish_time, data in records:

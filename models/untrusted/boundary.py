@@ -5,6 +5,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+
 from models.untrusted.toml_text import one_line
 
 
@@ -12,7 +14,8 @@ from models.untrusted.toml_text import one_line
 def refusing(error: type[Exception], name: object, *passed: type[Exception]) -> Iterator[None]:
     """Raises `error`, one line with name and the function of ours, for any exception but `error` and those to be passed."""
     try:
-        yield
+        with np.errstate(all="ignore"):  # numbers that overflow are checked where they are used
+            yield
     except (error, *passed):
         raise
     except MemoryError:

@@ -5,6 +5,7 @@ import zlib
 from pathlib import Path
 from typing import Final
 
+from models.untrusted.file import opened
 from models.untrusted.limits import TEXT_BYTES, TEXT_RATIO, TooLargeError, allowed
 
 _STEP: Final = 64 * 1024  # bytes
@@ -16,7 +17,7 @@ class GzipFile(io.RawIOBase):
     """
 
     def __init__(self, path: Path) -> None:
-        self._file = path.open("rb")
+        self._file = opened(path)
         self._packed, self._read, self._given = b"", 0, 0
         self._unpack = zlib.decompressobj(wbits=31)
         self._whole = True  # between two members

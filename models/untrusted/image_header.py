@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final, NamedTuple, TypeAlias
 
+from models.untrusted.file import opened
 from models.untrusted.limits import BINARY_RATIO, allowed
 
 Bytes: TypeAlias = bytes | memoryview | mmap.mmap
@@ -51,7 +52,7 @@ def image_header(data: Bytes) -> ImageHeader | None:
 
 def image_header_of_file(path: Path) -> ImageHeader | None:
     """As image_header; nothing but the header is read. Raises OSError."""
-    with path.open("rb") as file:
+    with opened(path) as file:
         if not file.read(1):
             return None
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:

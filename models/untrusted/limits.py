@@ -11,6 +11,8 @@ from typing import Final
 SPARE_BYTES: Final = 256 * 2**20
 PIECE_BYTES: Final = 256 * 2**20  # writers of logs use chunks of 1 to 4 MiB, or one large message
 TEXT_BYTES: Final = 2 * 2**30
+FILE_BYTES: Final = 2 * 2**30  # of a file that is read at once
+PIPE_BYTES: Final = 64 * 2**20  # of one that does not say how long it is
 BINARY_RATIO: Final = 1000  # black images reach it, over a whole log
 TEXT_RATIO: Final = 100  # CSV and GeoJSON: 5 to 20
 SPARE_RECORDS: Final = 100_000  # then one a byte: a message takes two bytes at least where its stamps are not all the same

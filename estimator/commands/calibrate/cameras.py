@@ -180,9 +180,10 @@ def _points(path: Path) -> "tuple[Array, Array]":
     import numpy as np
 
     from calib.errors import CalibrationError
+    from models.untrusted.file import content
 
     rows = []
-    for k, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines()):
+    for k, line in enumerate(content(path).decode("utf-8", "replace").splitlines()):
         fields = line.replace(";", ",").split(",")
         try:
             numbers = [float(x) for x in fields]

@@ -86,12 +86,13 @@ def _files(source: str) -> list[str]:
 def _still(path: Path, k: int) -> Iterator[SourceImage]:
     from logs.importers.quiet import silence
     from logs.wire.images import ImageError, decode_file
+    from models.untrusted.file import content
 
     numbers = re.findall(r"\d+", path.stem)
     key = int(numbers[-1]) if numbers else -1 - k
     try:
         with silence():  # libpng and OpenCV would tell of a torn file, too
-            image = decode_file(path.read_bytes())
+            image = decode_file(content(path))
     except (ImageError, OSError) as error:
         yield SourceImage(path.name, key, None, 1.0, getattr(error, "strerror", None) or str(error))
     else:

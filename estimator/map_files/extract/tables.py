@@ -15,6 +15,7 @@ from estimator.map_files.extract.crs import box_of, to_lonlat
 from estimator.map_files.extract.footprint import Footprint, Place
 from estimator.map_files.extract.wkb import outer_rings
 from models.maps.table import MapError
+from models.untrusted.file import opened
 from models.untrusted.toml_text import one_line
 
 _TAG = re.compile(r'"((?:[^"\\]|\\.)*)"=>"((?:[^"\\]|\\.)*)"')  # of the tags that GDAL keeps in one text
@@ -47,7 +48,7 @@ def read_gdal(path: Path, place: Place) -> Iterator[Footprint]:
 def _check_head(path: Path) -> None:
     """Refuse a file whose beginning contradicts its name: one of GDAL's formats names other files. Raises MapError."""
     try:
-        with path.open("rb") as file:
+        with opened(path) as file:
             head = file.read(_HEAD)
     except OSError as error:
         raise MapError(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None

@@ -13,6 +13,7 @@ from estimator.map_files.extract.crs import ToLonLat, to_lonlat
 from estimator.map_files.extract.footprint import Footprint, rings
 from models.maps.table import MapError
 from models.messages import Array
+from models.untrusted.file import content, opened
 from models.untrusted.gzip import GzipFile
 
 _LINES: Final = (".geojsonl", ".geojsons", ".ndjson", ".jsonl", ".csv")
@@ -23,12 +24,12 @@ def read(path: Path) -> Iterator[Footprint]:
     """The polygons of a file, packed with gzip or not. Raises MapError."""
     name = path.name.removesuffix(".gz").lower()
     try:
-        with BufferedReader(GzipFile(path)) if path.suffix == ".gz" else path.open("rb") as file:
+        with BufferedReader(GzipFile(path)) if path.suffix == ".gz" else opened(path) as file:
             if name.endswith(_LINES):
                 yield from _lines(path, file)
                 _check_end(path, file.raw)
                 return
-            data = file.read()
+            data = file.read() if isinstance(file.raw, GzipFile) else content(path)
             _check_end(path, file.raw)
     except MapError:
         raise

@@ -1,10 +1,12 @@
 """The folder of the logs, locked by one daemon; torn logs of a killed one are repaired during the flight."""
 
 import fcntl
+import os
+import stat
 import subprocess
 import sys
 from pathlib import Path
-from typing import IO, Final
+from typing import Final, Self
 
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
@@ -16,7 +18,7 @@ os.umask(0o027 | os.umask(0o027))
 from pathlib import Path
 from estimator.service.log.recovery import is_torn
 from logs.store.recover import recover
-alone = open(sys.argv[1], "w")
+alone = os.open(sys.argv[1], os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o640)
 fcntl.flock(alone, fcntl.LOCK_EX)  # an earlier recovery may still be at it
 for name in sys.argv[2:]:
     torn, whole = Path(name), Path(name).with_suffix(".recovered")
@@ -33,20 +35,48 @@ class FolderError(Exception):
     """The folder cannot be used; one line for the user."""
 
 
-def claim(folder: Path) -> IO[str]:
-    """Make the folder ours for as long as the file that is returned stays open. Raises FolderError when it is another's."""
-    try:
-        folder.mkdir(FOLDER_MODE, parents=True, exist_ok=True)
-        (folder / "landfix.lock").touch(FILE_MODE)
-        lock = (folder / "landfix.lock").open("w")
-    except OSError as error:
-        raise FolderError(f"[log] {folder}: {(error.strerror or 'cannot be used').lower()}") from None
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        lock.close()
-        raise FolderError(f"[log] {folder}: another landfix records there; give each its own folder") from None
-    return lock
+class FolderLock:
+    """The folder is ours as long as the lock file in it is the one that we have locked; a context that lets it go."""
+
+    def __init__(self, folder: Path) -> None:
+        """Raises FolderError when it is another's."""
+        self.path, self._fd = folder / "landfix.lock", -1
+        self.hold()
+
+    def hold(self) -> None:
+        """Lock it anew where folder or file was deleted or replaced. Raises FolderError."""
+        if self._fd >= 0 and self._is_in_place():
+            return
+        self.close()
+        folder = self.path.parent
+        try:
+            folder.mkdir(FOLDER_MODE, parents=True, exist_ok=True)
+            self._fd = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, FILE_MODE)
+        except OSError as error:
+            raise FolderError(f"[log] {folder}: {(error.strerror or 'cannot be used').lower()}") from None
+        try:
+            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            self.close()
+            raise FolderError(f"[log] {folder}: another landfix records there; give each its own folder") from None
+
+    def close(self) -> None:
+        """Let it go."""
+        if self._fd >= 0:
+            os.close(self._fd)
+        self._fd = -1
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _is_in_place(self) -> bool:
+        try:
+            return os.path.samestat(os.fstat(self._fd), self.path.lstat())
+        except OSError:
+            return False
 
 
 def torn_logs(folder: Path) -> list[Path]:
@@ -64,8 +94,10 @@ def recover_in_background(folder: Path) -> subprocess.Popen[bytes] | None:
 
 
 def is_torn(path: Path) -> bool:
-    """Whether an MCAP file lacks its proper end."""
+    """Whether it is an MCAP file, and no link to one, that lacks its proper end."""
     try:
+        if not stat.S_ISREG(path.lstat().st_mode):
+            return False
         with path.open("rb") as file:
             size = file.seek(0, 2)
             file.seek(max(0, size - len(MAGIC)))

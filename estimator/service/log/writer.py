@@ -18,7 +18,7 @@ import msgspec
 from msgspec import Meta
 
 from estimator.service.base.ports import Arrival
-from estimator.service.log.recovery import FILE_MODE, FOLDER_MODE
+from estimator.service.log.recovery import FILE_MODE, FOLDER_MODE, FolderError
 from logs.store.reader import Attachment, LogError
 from logs.store.recorder import Recorder
 from logs.wire.codec import Encoded
@@ -83,8 +83,11 @@ class LogWriter:
         name: Callable[[int], Path],
         metadata: Mapping[str, str],
         attachments: Sequence[Attachment] = (),
+        hold: Callable[[], None] = lambda: None,
     ) -> None:
+        """hold: keeps the folder ours (recovery.FolderLock)."""
         self._config, self._name, self._metadata, self._attachments = config, name, dict(metadata), attachments
+        self._hold, self._shared = hold, ""
         self._queue: deque[_Item] = deque()
         self._images: deque[_Item] = deque()
         self._put_bytes = self._taken_bytes = 0  # each is changed by one thread only
@@ -142,7 +145,8 @@ class LogWriter:
     def state(self) -> LogState:
         """How it is doing."""
         file = str(self._recorder.path) if self._recorder else ""
-        state = f"{self._state}: {self._problem}" if self._problem else self._state
+        problem = self._problem or self._shared
+        state = f"{self._state}: {problem}" if problem else self._state
         stalled_s = time.monotonic() - self._beat_s if self._thread.is_alive() else 0.0
         if stalled_s > _STALL_S:
             state = f"stalled: the disk has taken nothing for {stalled_s:.0f} s"
@@ -176,6 +180,7 @@ class LogWriter:
         self._retry_s = 0.0  # what waits for a disk gets a last chance
         self._turn(time.monotonic())
         self._end_file()
+        self._beat()
 
     def _turn(self, now_s: float) -> None:
         """Write all that waits, as far as the disk lets us."""
@@ -228,6 +233,7 @@ class LogWriter:
         if now_s - self._space_s < _SPACE_EVERY_S:
             return
         self._space_s = now_s
+        self._hold_folder()
         if not recorder.is_in_place:
             self._removed_files += 1
             self._end_file()
@@ -245,6 +251,7 @@ class LogWriter:
     def _begin_file(self, now_s: float) -> None:
         path = self._name(self._number + self._taken)
         path.parent.mkdir(FOLDER_MODE, parents=True, exist_ok=True)
+        self._hold_folder()
         self._thin_out(path.parent)
         if _free_mb(path.parent) < self._config.least_free_mb:
             self._pause(now_s)
@@ -261,6 +268,14 @@ class LogWriter:
         self._number, self._file_bytes = self._number + 1, 0
         self._opened_s = self._sync_s = now_s
         self._state, self._problem = "recording", ""
+
+    def _hold_folder(self) -> None:
+        """Another daemon in the folder is said; its files have other names, and the flight is recorded all the same."""
+        self._shared = ""
+        try:
+            self._hold()
+        except FolderError as error:
+            self._shared = str(error)
 
     def _end_file(self) -> None:
         """Index and end. Where they do not fit the file is torn, but has every message that was flushed."""
@@ -290,7 +305,7 @@ class LogWriter:
         logs = sorted(folder.glob("landfix-*.mcap"), key=lambda p: p.name, reverse=True)
         total = 0
         for log in logs:
-            total += log.stat().st_size
+            total += log.lstat().st_size
             if total > self._config.keep_gb * 1e9:
                 log.unlink(missing_ok=True)
 

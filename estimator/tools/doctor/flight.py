@@ -13,7 +13,7 @@ from typing import Final
 
 from calib.errors import CalibrationError
 from estimator.config import Config
-from estimator.service.log.recovery import FolderError, claim
+from estimator.service.log.recovery import FolderError, FolderLock
 from estimator.service.mavlink.config import Serial, address_of, signing_key
 from estimator.service.zenoh.config import Endpoint, is_local, session_config
 from estimator.service.zenoh.keys import plain_key
@@ -207,10 +207,9 @@ def _log(config: Config) -> Iterator[Check]:
 def _try_to_claim(folder: Path) -> None:
     """Raises FolderError where another records there."""
     known = set(folder.iterdir())
-    lock = claim(folder)
-    lock.close()
-    if Path(lock.name) not in known:
-        Path(lock.name).unlink()
+    with FolderLock(folder) as lock:
+        if lock.path not in known:
+            lock.path.unlink()
 
 
 def package(home: Path, owners: Sequence[int] | None = None) -> Check:

@@ -15,6 +15,7 @@ from estimator.tools.fleet.flight import Settings, code, fly, key_of
 from estimator.tools.fleet.results import Results, keep_configuration
 from estimator.tools.fleet.rows import Row
 from estimator.tools.fleet.store import Flight
+from models.untrusted.file import content
 
 _KEPT_EVERY_S: Final = 10.0  # rows that came meanwhile are what the loss of this process costs
 
@@ -48,7 +49,7 @@ def settings_of(label: str, config: Path | None, truth: str, *, from_images: boo
     images = [loaded.map.picture, loaded.map.picture_heights]
     names = [name for name in [*loaded.files().values(), *images] if name] if from_images else []
     try:
-        files = {name: (config.parent / name).read_bytes() for name in names}
+        files = {name: content(config.parent / name) for name in names}
     except OSError as error:
         raise ConfigError(f"{error.filename}: {(error.strerror or 'cannot be read').lower()}") from None
     if away := [name for name in names if Path(name).is_absolute() or ".." in Path(name).parts]:

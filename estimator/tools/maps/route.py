@@ -17,11 +17,12 @@ from scipy.ndimage import gaussian_filter1d
 from models.frames import GRAVITY, Origin
 from models.maps.table import MapError
 from models.messages import Array
+from models.untrusted.file import content
 
 RATE_HZ = 50.0
 HOVER_S = 25.0  # with GNSS at the start: the estimate begins
 _ROUND_S = 1.5  # standard deviation of what rounds corners
-_MOST_POINTS = 100_000
+_MOST_POINTS, _MOST_BYTES = 100_000, 64 * 2**20
 _MOST_S = 36_000.0
 
 
@@ -42,7 +43,7 @@ class Flight:
 def read(path: Path) -> Array:
     """Latitudes and longitudes (n, 2). Raises MapError."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = content(path, _MOST_BYTES).decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise MapError(f"{path}: cannot be read ({error})") from None
     try:

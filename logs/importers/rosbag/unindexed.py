@@ -13,6 +13,7 @@ from typing import BinaryIO, Final
 
 import lz4.frame
 
+from models.untrusted.file import opened
 from models.untrusted.limits import PIECE_BYTES, TooLargeError, allowed, check
 
 _MAGIC: Final = b"#ROSBAG V2.0\n"
@@ -44,7 +45,7 @@ def messages(path: Path) -> Iterator[tuple[str, str, int, bytes, float]]:
     """(topic, type, arrival [ns], bytes, share of the file) of whole records before the first torn one. Raises ValueError."""
     connections: dict[bytes, tuple[str, str]] = {}
     size = path.stat().st_size
-    with path.open("rb") as file:
+    with opened(path) as file:
         if file.read(len(_MAGIC)) != _MAGIC:
             raise ValueError("no ROS 1 bag of version 2.0")
         whole, unpack = 0, Unpacker(size)

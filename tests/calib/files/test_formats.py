@@ -231,7 +231,7 @@ def test_a_file_that_is_nested_too_deeply_is_refused_and_ends_no_process(tmp_pat
 def test_a_file_that_is_too_large_is_refused_unread(tmp_path: Path) -> None:
     path = tmp_path / "rig"
     path.write_text("%YAML:1.0\n" + "# nothing\n" * 100_000)
-    with pytest.raises(CalibrationError, match="rig: is larger than 1_000_000 bytes"):
+    with pytest.raises(CalibrationError, match="rig: is larger than 1 MB"):
         load_rig(path)
 
 

@@ -15,7 +15,7 @@ from zenoh.ext import Int64, z_serialize
 from estimator.service.base.clock import Clock
 from estimator.service.base.status import Status
 from estimator.service.log import state_file
-from estimator.service.log.recovery import claim, recover_in_background
+from estimator.service.log.recovery import FolderLock, recover_in_background
 from estimator.service.log.state_file import SavedState, StateKeeper
 from estimator.service.log.writer import LogConfig, LogWriter
 from estimator.service.watchdog import Notifier
@@ -112,7 +112,7 @@ def test_the_last_state_is_found_again(tmp_path: Path) -> None:
 def test_what_the_daemon_creates_is_not_for_everybody(tmp_path: Path, umask: int, file_mode: int, folder_mode: int) -> None:
     folder, before = tmp_path / "logs", os.umask(umask)
     try:
-        lock = claim(folder)
+        lock = FolderLock(folder)
         torn = folder / "landfix-0.mcap"
         torn.write_bytes(MAGIC)
         process = recover_in_background(folder)

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 from estimator.service.base.ports import Arrival
-from estimator.service.log.recovery import recover_in_background, torn_logs
+from estimator.service.log import writer
+from estimator.service.log.recovery import FolderError, FolderLock, recover_in_background, torn_logs
 from estimator.service.log.writer import LogConfig, LogWriter
 from logs.store.reader import Attachment, LogReader
 from logs.store.recorder import Recorder
@@ -33,10 +34,10 @@ def _number(data: bytes) -> int:
 
 
 @contextmanager
-def _writer(folder: Path, **config: object) -> Iterator[LogWriter]:
+def _writer(folder: Path, hold: Callable[[], None] = lambda: None, **config: object) -> Iterator[LogWriter]:
     settings = LogConfig(**({"least_free_mb": 0.0} | config))  # type: ignore[arg-type]
     kept = [Attachment("config.toml", "application/toml", b"[imu]\n")]
-    log = LogWriter(settings, lambda n: folder / f"landfix-{n:03d}.mcap", {"version": "1"}, kept)
+    log = LogWriter(settings, lambda n: folder / f"landfix-{n:03d}.mcap", {"version": "1"}, kept, hold)
     try:
         yield log
     finally:
@@ -280,6 +281,68 @@ def test_what_a_stuck_thread_cannot_write_is_counted_at_the_end(tmp_path: Path, 
         log.close(timeout_s=0.1)
         assert log.state.lost_inputs == 5
         goes_on.set()
+
+
+def test_the_lock_does_not_vanish_with_the_folder(tmp_path: Path) -> None:
+    folder = tmp_path / "logs"
+    with FolderLock(folder) as lock, _writer(folder, hold=lock.hold) as log:
+        until(lambda: log.state.file, "the log begins")
+        shutil.rmtree(folder)
+        until(lambda: log.state.removed_files == 1 and log.state.state == "recording", "it begins anew", seconds=5.0)
+        with pytest.raises(FolderError, match="another landfix records there"):
+            FolderLock(folder)
+
+
+def test_a_folder_that_another_took_meanwhile_is_said_and_the_flight_recorded(tmp_path: Path) -> None:
+    with FolderLock(tmp_path) as lock, _writer(tmp_path, hold=lock.hold) as log:
+        until(lambda: log.state.file, "the log begins")
+        (tmp_path / "landfix.lock").unlink()
+        with FolderLock(tmp_path):
+            until(lambda: "another landfix records there" in log.state.state, "it says so", seconds=5.0)
+            assert log.state.state.startswith("recording: ")
+            log.put_input(_arrival(1))
+        until(lambda: log.state.state == "recording", "it is alone again", seconds=5.0)
+    assert [_number(r.data) for r in records(tmp_path / "landfix-000.mcap")] == [1]
+
+
+def test_links_and_pipes_in_the_folder_are_neither_followed_nor_waited_for(tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.write_bytes(b"somebody's")
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    (folder / "landfix-a.mcap").symlink_to(elsewhere)
+    (folder / "landfix-b.mcap").symlink_to(folder / "nowhere")
+    os.mkfifo(folder / "landfix-c.mcap")
+    assert torn_logs(folder) == []
+    with _writer(folder, keep_gb=1.0) as log:
+        until(lambda: log.state.file, "the log begins")
+    (folder / "landfix.lock").symlink_to(elsewhere)
+    with pytest.raises(FolderError, match="symbolic links"):
+        FolderLock(folder)
+    torn = folder / "landfix-d.mcap"
+    torn.write_bytes(b"\x89MCAP0\r\n")
+    (folder / "landfix-d.recovered.part").symlink_to(elsewhere)
+    process = recover_in_background(folder)
+    assert process is not None
+    assert process.wait(60) == 0
+    assert not torn_logs(folder)
+    assert elsewhere.read_bytes() == b"somebody's"
+
+
+def test_a_pause_while_it_ends_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(writer, "_STALL_S", 0.2)
+    close = Recorder.close
+
+    def slow(recorder: Recorder) -> None:
+        time.sleep(0.5)
+        close(recorder)
+
+    with _writer(tmp_path) as log:
+        until(lambda: log.state.file, "the log begins")
+        stalls = log.state.stalls
+        monkeypatch.setattr(Recorder, "close", slow)
+        log.close()
+        assert log.state.stalls == stalls + 1
 
 
 @pytest.mark.parametrize("cut", [1, 100])

@@ -10,7 +10,7 @@ import pytest
 
 from calib.files.formats import save_rig
 from estimator.config import Config, load
-from estimator.service.log.recovery import claim
+from estimator.service.log.recovery import FolderLock
 from estimator.tools.doctor import flight as doctor_flight
 from estimator.tools.doctor.machine import Check, State
 from vision.synthetic import make_rig
@@ -148,7 +148,7 @@ def test_a_device_and_a_folder_that_are_not_ours_fail(tmp_path: Path) -> None:
 
 
 def test_a_folder_where_another_records_is_said(tmp_path: Path) -> None:
-    with claim(tmp_path / "logs"):
+    with FolderLock(tmp_path / "logs"):
         found = checked(tmp_path, "")["log.folder"]
     assert (found.state, "another landfix records there" in found.found) == (State.WARN, True)
 

@@ -1,0 +1,103 @@
+"""Hostile files, arguments, configurations, states and messages against landfix: one row a cell.
+
+    python -m benchmarks.attacks [--areas log import ...] [--cases ../shared/cases] [--out benchmarks/results/attacks.json]
+
+A cell is held where the command ends by itself, within 10 s of CPU and 1 GB, with the right exit code and one line that says
+why; degraded where that is so but for the words; failed otherwise.
+"""
+
+import argparse
+import importlib
+import json
+import os
+import pkgutil
+import re
+import tempfile
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import cv2
+import msgspec
+
+import calib
+import estimator
+import logs
+import models
+import vision
+from benchmarks.attacks import files, limited, typed
+from benchmarks.attacks.cell import Cell
+from estimator.version import version
+
+AREAS = {
+    "log": files.logs, "import": files.importers, "map": files.maps, "image": files.images,
+    "configuration": typed.configurations, "argument": typed.arguments,
+}  # fmt: skip
+_RARE = re.compile(r"__main__|bench|fleet|plot|report|evidence|tune|overlay")
+_CASES = Path(os.environ.get("LANDFIX_DATA", "../shared/data")).parent / "cases"
+
+
+class Row(msgspec.Struct, frozen=True):
+    """What came of a cell; said: the last line of stderr, or else of stdout."""
+
+    area: str
+    name: str
+    verdict: str
+    reason: str
+    code: int
+    cpu_s: float
+    said: str
+
+
+def rows(folder: Path, cases: Path, areas: Iterable[str], only: str = "", *, shared: bool = False) -> Iterator[Row]:
+    """The cells whose name contains `only`, in turn; shared: of those, the ones with a file of the shared cases."""
+    _load()
+    files.prepare(folder)
+    known = [path.name.removesuffix(".xz") for part in ("attacks", "turn3") for path in (cases / part).glob("*.*")]
+    for area in areas:
+        for cell in AREAS[area](folder, cases):
+            if only in cell.name and (not shared or any(name in cell.name for name in known)):
+                yield _row(cell, folder)
+
+
+def _row(cell: Cell, folder: Path) -> Row:
+    ended = limited.run(cell.words, folder)
+    verdict, reason = limited.flaw(ended, cell.codes)
+    said = (ended.stderr.strip() or ended.stdout.strip() or " ").splitlines()[-1].replace(str(folder), "")
+    return Row(cell.area, cell.name, verdict, reason.replace(str(folder), ""), ended.code, ended.cpu_s, said[:300])
+
+
+def _load() -> None:
+    """What most commands import, once, before their processes are forked."""
+    for package in (calib, estimator, logs, models, vision):
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            if not _RARE.search(module.name):
+                importlib.import_module(module.name)
+    cv2.setNumThreads(1)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--areas", nargs="*", choices=AREAS, default=list(AREAS))
+    parser.add_argument("--only", default="", help="cells whose name contains this")
+    parser.add_argument("--shared", action="store_true", help="cells with a file of the shared cases")
+    parser.add_argument("--cases", type=Path, default=_CASES, help="folder of shared cases")
+    parser.add_argument("--out", type=Path, help="rows as JSON")
+    given = parser.parse_args()
+    done: list[Row] = []
+    with tempfile.TemporaryDirectory() as name:
+        for row in rows(Path(name), given.cases.resolve(), given.areas, given.only, shared=given.shared):
+            done.append(row)
+            if row.verdict != "held" or given.only:
+                print(row.verdict, row.area, row.name, f"{row.cpu_s} s", row.reason, "|", row.said, flush=True)
+    counts = Counter(row.verdict for row in done)
+    print(f"{len(done)} cells: {dict(counts)}")
+    if given.out:
+        document = {"version": version(), "command": "python -m benchmarks.attacks", "counts": counts}
+        lines = ",\n".join(json.dumps(msgspec.to_builtins(row)) for row in done)
+        given.out.write_text(f'{json.dumps(document, indent=1)[:-2]},\n "rows": [\n{lines}\n]}}\n')
+    raise SystemExit(bool(counts["failed"]))
+
+
+if __name__ == "__main__":
+    main()

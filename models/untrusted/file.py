@@ -1,0 +1,33 @@
+"""A file that a person names: opened without waiting, read no further than a bound."""
+
+import errno
+import os
+import stat
+from io import BufferedReader
+from pathlib import Path
+
+from models.untrusted.limits import FILE_BYTES, PIPE_BYTES
+
+
+def opened(path: Path) -> BufferedReader:
+    """To be read. A pipe at whose other end nobody writes is empty: it is not waited for. Raises OSError."""
+    return open(path, "rb", opener=_opener)
+
+
+def content(path: Path, most: int = FILE_BYTES) -> bytes:
+    """All of it, at most so many bytes; of a pipe or a device, which does not say how many it has, PIPE_BYTES. Raises OSError."""
+    with opened(path) as file:
+        about = os.fstat(file.fileno())
+        regular = stat.S_ISREG(about.st_mode)
+        most = most if regular else min(most, PIPE_BYTES)
+        wanted = min(about.st_size if regular else most, most) + 1  # read() takes memory for all that it is asked for
+        data = file.read(wanted)
+    if len(data) > most:
+        raise OSError(errno.EFBIG, f"is larger than {most / 1e6:g} MB", str(path))
+    return data
+
+
+def _opener(path: str, flags: int) -> int:
+    fd = os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC)
+    os.set_blocking(fd, True)
+    return fd
