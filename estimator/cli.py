@@ -50,7 +50,7 @@ class OneLineErrors(Group):
         except Exception as error:
             if os.environ.get("LANDFIX_DEBUG"):
                 raise
-            typer.echo(f"landfix: {one_line(error)}", err=True)
+            typer.echo(f"landfix: {printable(one_line(error))}", err=True)
             raise typer.Exit(1) from None
 
 
@@ -58,6 +58,11 @@ def plain(message: str) -> str:
     """A usage error without the words of the library that found it."""
     message = re.sub(r"Value error, |, unable to parse string as an? \w+", "", message)
     return message.replace("Input should be", "must be")
+
+
+def printable(text: str) -> str:
+    """A text in which a name from outside may stand, without what a terminal would obey."""
+    return "".join(c if c.isprintable() else " " for c in text)
 
 
 def one_line(error: Exception) -> str:

@@ -14,7 +14,7 @@ import pkgutil
 import re
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import cv2
@@ -49,14 +49,15 @@ class Row(msgspec.Struct, frozen=True):
     said: str
 
 
-def rows(folder: Path, cases: Path, areas: Iterable[str], only: str = "", *, shared: bool = False) -> Iterator[Row]:
-    """The cells whose name contains `only`, in turn; shared: of those, the ones with a file of the shared cases."""
+def rows(folder: Path, cases: Path, areas: Iterable[str], only: Sequence[str] = (), *, shared: bool = False) -> Iterator[Row]:
+    """The cells whose name contains one of `only`, in turn; shared: of those, the ones with a file of the shared cases."""
     _load()
     files.prepare(folder)
     known = [path.name.removesuffix(".xz") for part in ("attacks", "turn3") for path in (cases / part).glob("*.*")]
     for area in areas:
         for cell in AREAS[area](folder, cases):
-            if only in cell.name and (not shared or any(name in cell.name for name in known)):
+            wanted = not only or any(part in cell.name for part in only)
+            if wanted and (not shared or any(name in cell.name for name in known)):
                 yield _row(cell, folder)
 
 
@@ -79,7 +80,7 @@ def _load() -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--areas", nargs="*", choices=AREAS, default=list(AREAS))
-    parser.add_argument("--only", default="", help="cells whose name contains this")
+    parser.add_argument("--only", nargs="*", default=[], help="cells whose name contains one of these")
     parser.add_argument("--shared", action="store_true", help="cells with a file of the shared cases")
     parser.add_argument("--cases", type=Path, default=_CASES, help="folder of shared cases")
     parser.add_argument("--out", type=Path, help="rows as JSON")

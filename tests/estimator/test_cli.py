@@ -188,6 +188,7 @@ def test_every_failure_is_one_line(flight: Path, tmp_path: Path) -> None:
     assert "landfix replay" in fails("evaluate", flight)
     assert "nowhere" in fails("import", "csv", tmp_path / "nowhere", "-o", out)
     assert "nowhere.toml" in fails("simulate", tmp_path / "nowhere.toml", "-o", out)
+    assert "\x1b" not in fails("replay", tmp_path / "\x1b[2J.mcap", "-o", out)  # a name is no command to the terminal
 
 
 def test_a_defect_of_ours_is_one_line_too_and_debug_shows_it(
