@@ -35,7 +35,7 @@ def test_what_stands_on_the_ground_raises_it() -> None:
     image = GroundImage(
         "x", np.zeros((9, 9), np.uint8), np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]), Heights.level(0.0, heights.std())
     )
-    assert image.shared_sigma == pytest.approx((0.0, heights.mean(), 0.02))
+    assert image.shared_sigma == pytest.approx((0.0, heights.mean(), 0.05))
     known = replace(image, height_sigma_m=0.5)
     assert known.shared_sigma[1] == pytest.approx(np.hypot(0.5, heights.mean()))
 
