@@ -91,7 +91,7 @@ class Core:
         assert self.hypotheses is not None
         distance2 = seen.distance2 * self.variance_factor.value
         self.variance_factor = self.variance_factor.also(aid.topic, aid.t_ns, distance2, len(seen.nu), largest)
-        self.hypotheses.scale(self.variance_factor.value, aid.topic)
+        self.hypotheses.scale(self.variance_factor.value)
 
     def relinearise(self, stretch: Stretch, samples: ImuBuffer) -> Stretch:
         """The leading filter, linearised about what is known now, goes on; the stretch with the run noted, where it succeeded."""

@@ -5,7 +5,7 @@ contradict it later: it keeps the false one and locks the true ones out. So the 
 
 * a fix is fused although a false reading would explain it nearly as well (as after an outage): a *sceptic* goes on without it,
   and without whatever agrees with it;
-* a fix fails the gate: a *follower* goes on with it;
+* a fix fails the gate, and no hypothesis that fused the last one predicts it: a *follower* goes on with it;
 * a receiver may be misled for long: one goes on *without* it (left_out.py).
 
     true:          w <- w + ln N(nu; 0, S)                      false:  w <- w + ln(e u)
@@ -14,8 +14,8 @@ contradict it later: it keeps the false one and locks the true ones out. So the 
 
 j: the hypotheses that take the source for true; e: the share of false readings, u: their uniform density; tau: how long a fault
 that repeats itself lasts, of positions that the leading hypothesis alone refuses AGAIN_S (of a receiver _RECEIVER_S). The leading
-hypothesis is the estimate; another takes over when its weight is larger by a margin. By the same margin a reading must be better
-predicted as the last false one than as true, where a gate was all that spoke against the last one.
+hypothesis is the estimate; another takes over when its weight is larger by a margin. By the same margin a velocity must be better
+predicted as the last false one than as true, where a gate was all that spoke against the last one; a fix inside the gate is true.
 
 A false fix that was sought where the vehicle was expected fits well too. So in the covariance, though not in the decision, a
 sceptic begins with the weight e at least, and loses twice dt / tau: after an outage the first fixes are published with the chance
@@ -63,6 +63,7 @@ AGAIN_S = 0.4  # a fix that is refused again costs 1 / AGAIN_S a second, ln
 _RECEIVER_S = 2.0  # the same of a receiver alone, whose readings share their error: a barometer has its say
 _SEEN = 3.0  # ln: so far behind the leading one a new follower counts in the covariance
 _UNSEEN = 10.0  # ln: by so much less one counts there whose source is refused already
+_SOME = 2  # fixes that a follower has fused, after which it is where the fixes are
 _NOISIER = 256.0  # times the variance that a source claims
 
 
@@ -124,11 +125,8 @@ class Hypotheses:
             found[member.assumes] = max(found.get(member.assumes, -math.inf), member.weight + member.benefit)
         return found
 
-    def scale(self, variance_factor: float, topic: str = "") -> None:
-        """The errors of every filter are larger than it says; `topic` has shown it: too much of it was refused."""
-        lead = self.members[0]
-        if variance_factor > lead.filter.variance_factor and (doubt := lead.doubts.get(topic)) and not doubt.deliberate:
-            del lead.doubts[topic]
+    def scale(self, variance_factor: float) -> None:
+        """The errors of every filter are larger than it says."""
         for member in self.members:
             member.filter.variance_factor = variance_factor
 
@@ -158,7 +156,8 @@ class Hypotheses:
             seen.append(seen[0])
             passed.append(True)
         set_aside = left_out.is_confirmed(self.members[0], aid)
-        follower = self._follower(aid, z, gyro_b, limit, vouched) if aid.absolute and not any(passed) and not set_aside else None
+        predicted = passed[0] or any(p and aid.topic not in m.doubts for p, m in zip(passed, self.members, strict=True))
+        follower = self._follower(aid, z, gyro_b, limit, vouched) if aid.absolute and not predicted and not set_aside else None
         born: list[Hypothesis] = []
         anew = aid.absolute and not set_aside and not passed[0] and aid.topic not in self.members[0].doubts
         again_s = self._again_s(aid, vouched=vouched)
@@ -177,11 +176,14 @@ class Hypotheses:
             )
             return member.weight - before
 
+        last_ns = self.members[0].fused_ns
         following = [k for k, m in enumerate(self.members) if m.without != aid.witness and aid.witness not in m.doubts]
         gained = {k: answer(k) for k, m in enumerate(self.members) if m.without != aid.witness}
         by_others = gained[0] if 0 in gained else max((gained[k] for k in following), default=None)
         if 0 in gained and fused[0] and aid.geodetic and aid.slow_errors:
             self._forgo_breadth(seen, gained, fused)
+        if aid.absolute and fused[0] and seen[0].distance2 * self.lead.variance_factor > limit:
+            self._come_back(last_ns)
         for k, member in enumerate(self.members):
             if k in gained:
                 self._limit(k, aid, gained, fused)
@@ -193,7 +195,7 @@ class Hypotheses:
             elif passed[k] and not set_aside and not aid.receiver:
                 member.without = ""  # no other one follows the receiver, which agrees: it is judged again
                 answer(k)
-        if anew and not follower:
+        if anew:
             self._raise_alternative(aid, fused, vouched)
         at_fix = left_out.moved(self.members[0], aid, z, gyro_b, seen[0]) if follower and self.members[0].receiver else None
         for member, was_fused in zip(self.members, fused, strict=True):
@@ -330,7 +332,8 @@ class Hypotheses:
         if (k > 0 or not passed) and aid.receiver in member.doubts and by_receiver > -math.inf:
             member.weight += max(by_receiver, aid.log_false)
             return False
-        if doubt and agreement is not None and (doubt.deliberate or not passed or agreement > true + _MARGIN):
+        foretold = not aid.absolute and agreement is not None and agreement > true + _MARGIN
+        if doubt and agreement is not None and (doubt.deliberate or not passed or foretold):
             member.weight += agreement if doubt.deliberate or not aid.absolute else max(agreement, _noisier(aid, seen))
             member.benefit = max(member.benefit - (aid.t_ns - doubt.last_ns) * 1e-9 / lasts_s(aid.kind), 0.0)
             doubt.last_ns = aid.t_ns
@@ -442,6 +445,19 @@ class Hypotheses:
         if vouched and not others:
             return max(lasts_s(aid.kind), AGAIN_S)
         return AGAIN_S if aid.log_misled is None else _RECEIVER_S
+
+    def _come_back(self, last_ns: int) -> None:
+        """The leading hypothesis fuses a fix by its variance factor alone, after some since last_ns that only a follower fused.
+
+        They were true, and its covariance has not the shape of its error: it goes on from where the follower is.
+        """
+        lead = self.members[0]
+        for member in self.members[1:]:
+            if member.doubts_imu and member.run > _SOME and member.run_ns > last_ns and not member.doubts:
+                constants = lead.filter.constants
+                lead.filter = member.filter.copy()
+                lead.filter.constants = constants
+                return
 
     def _trust_imu_again(self, t_ns: int) -> None:
         """The leading hypothesis takes the IMU for wrong: from its newest fix on another one takes it for right again."""
