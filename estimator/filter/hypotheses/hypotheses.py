@@ -26,9 +26,6 @@ its weight stays above ln(1 - trust). A fix that a hypothesis takes and the lead
 count alike in the covariance until it is decided, and once decided it is not open again while other sources confirm the leading
 one.
 
-A follower takes every fix that nobody predicts: the IMU was wrong since the last fix, or the estimate stands elsewhere. So
-consistent fixes are never locked out. They win when they are more than those of the leading hypothesis by three
-(hypothesis.holds_s). Once it leads, the IMU is right again by a branch that its next fixes confirm.
 (Multiple hypothesis tracking; Blackman and Popoli 1999, ch. 16.)
 """
 
@@ -39,7 +36,8 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.filter.eskf import Eskf, Innovation
-from estimator.filter.hypotheses import left_out
+from estimator.filter.hypotheses import follower, left_out
+from estimator.filter.hypotheses.follower import AGAIN_S, MARGIN
 from estimator.filter.hypotheses.hypothesis import FORGET, Doubt, Hypothesis
 from estimator.filter.hypotheses.innovation import innovation
 from estimator.filter.hypotheses.left_out import LEFT_OUT_S
@@ -47,23 +45,13 @@ from estimator.filter.hypotheses.mixture import covariance, ln_sum
 from estimator.sources.base.aid import Aid
 from estimator.sources.base.faults import lasts_s
 from estimator.sources.base.gating import gate
-from models import imu
 from models.measurements import Measurement, mahalanobis
 from models.messages import Array
-from models.state import E, X
+from models.state import X
 
 _MOST = 4  # hypotheses at a time, those without a receiver not counted
-_MARGIN = 3.0  # ln: by which another must be better
 _LEAST_DOUBT = 1.0  # ln: a sceptic starts at least this far behind
 _TINY = 1e-9
-_UNSEEN_S, _FORGOTTEN_S = 0.5, 5.0  # a wrong IMU has been so since the last fix, within these limits
-_LIKELY = 0.25  # share of the unknown motion within which an IMU that is wrong explains a fix
-_CONFIRMED_S = 60.0  # a run that another source confirms wins against a shorter one, up to this length
-AGAIN_S = 0.4  # a fix that is refused again costs 1 / AGAIN_S a second, ln
-_RECEIVER_S = 2.0  # the same of a receiver alone, whose readings share their error: a barometer has its say
-_SEEN = 3.0  # ln: so far behind the leading one a new follower counts in the covariance
-_UNSEEN = 10.0  # ln: by so much less one counts there whose source is refused already
-_SOME = 2  # fixes that a follower has fused, after which it is where the fixes are
 _NOISIER = 256.0  # times the variance that a source claims
 
 
@@ -157,10 +145,14 @@ class Hypotheses:
             passed.append(True)
         set_aside = left_out.is_confirmed(self.members[0], aid)
         predicted = passed[0] or any(p and aid.topic not in m.doubts for p, m in zip(passed, self.members, strict=True))
-        follower = self._follower(aid, z, gyro_b, limit, vouched) if aid.absolute and not predicted and not set_aside else None
+        newborn = (
+            follower.begin(self.members[0], aid, z, gyro_b, limit, vouched=vouched)
+            if aid.absolute and not predicted and not set_aside
+            else None
+        )
         born: list[Hypothesis] = []
         anew = aid.absolute and not set_aside and not passed[0] and aid.topic not in self.members[0].doubts
-        again_s = self._again_s(aid, vouched=vouched)
+        again_s = follower.again_s(self.members[0], aid, vouched=vouched)
         agreement = self._agreement(aid, seen, passed, again_s)
         doubted = self._doubted(aid, agreement)
         # A receiver is right or wrong in both: where its positions are doubted, its velocities are no evidence.
@@ -183,7 +175,7 @@ class Hypotheses:
         if 0 in gained and fused[0] and aid.geodetic and aid.slow_errors:
             self._forgo_breadth(seen, gained, fused)
         if aid.absolute and fused[0] and seen[0].distance2 * self.lead.variance_factor > limit:
-            self._come_back(last_ns)
+            follower.come_back(self.members, last_ns)
         for k, member in enumerate(self.members):
             if k in gained:
                 self._limit(k, aid, gained, fused)
@@ -196,22 +188,22 @@ class Hypotheses:
                 member.without = ""  # no other one follows the receiver, which agrees: it is judged again
                 answer(k)
         if anew:
-            self._raise_alternative(aid, fused, vouched)
-        at_fix = left_out.moved(self.members[0], aid, z, gyro_b, seen[0]) if follower and self.members[0].receiver else None
+            follower.raise_alternative(self.members, aid, fused, vouched=vouched)
+        at_fix = left_out.moved(self.members[0], aid, z, gyro_b, seen[0]) if newborn and self.members[0].receiver else None
         for member, was_fused in zip(self.members, fused, strict=True):
             doubt = member.doubts.get(aid.topic)
             if was_fused != fused[0] and not (doubt and doubt.deliberate):
                 member.parted_ns = aid.t_ns
         left_out.begin_again(self.members, aid, fused, at_fix, seen)
-        if follower:
-            follower.weight += self.members[0].weight
-            born.append(follower)
+        if newborn:
+            newborn.weight += self.members[0].weight
+            born.append(newborn)
         self.members += born
         if at_fix:
             left_out.add_at_fix(self.members, at_fix, aid)
         if aid.absolute and fused[0] and self.members[0].doubts_imu:
-            self._trust_imu_again(aid.t_ns)
-        self._rank(aid.t_ns, follower)
+            self.members.append(follower.with_imu_right(self.members[0], aid.t_ns))
+        self._rank(aid.t_ns, newborn)
         return Verdict(seen[0], limit, passed[0], fused[0])
 
     def _forgo_breadth(self, seen: list[Innovation], gained: dict[int, float], fused: list[bool]) -> None:
@@ -239,7 +231,7 @@ class Hypotheses:
         for member in self.members[1:]:
             if member.without == topic and not member.begun_at_fix and not member.rejected - {topic}:
                 self.members.remove(member)
-                self.members[0].weight = -_MARGIN
+                self.members[0].weight = -MARGIN
                 member.weight = member.benefit = 0.0
                 self.members.insert(0, member)
                 self.switches += 1
@@ -296,7 +288,7 @@ class Hypotheses:
             and doubt
             and not doubt.deliberate
             and not aid.absolute
-            and predicted + fades[j] <= seen[j].log_likelihood + _MARGIN
+            and predicted + fades[j] <= seen[j].log_likelihood + MARGIN
         ]
         predicted_by_all = self._predicted(believe + again, seen)
         agreement = [(predicted if passed[k] else predicted_by_all) + fade for k, fade in enumerate(fades)]
@@ -332,7 +324,7 @@ class Hypotheses:
         if (k > 0 or not passed) and aid.receiver in member.doubts and by_receiver > -math.inf:
             member.weight += max(by_receiver, aid.log_false)
             return False
-        foretold = not aid.absolute and agreement is not None and agreement > true + _MARGIN
+        foretold = not aid.absolute and agreement is not None and agreement > true + MARGIN
         if doubt and agreement is not None and (doubt.deliberate or not passed or foretold):
             member.weight += agreement if doubt.deliberate or not aid.absolute else max(agreement, _noisier(aid, seen))
             member.benefit = max(member.benefit - (aid.t_ns - doubt.last_ns) * 1e-9 / lasts_s(aid.kind), 0.0)
@@ -381,94 +373,7 @@ class Hypotheses:
             default=-math.inf,
         )
 
-    def _follower(self, aid: Aid, z: Measurement, gyro_b: Array, limit: float, vouched: bool) -> Hypothesis | None:
-        """The leading hypothesis gone wrong since its last fix, which fuses what nobody predicts.
-
-        By the IMU: P <- P + Q(dt) of an unknown motion, which goes on. Where that does not explain the fix: the estimate stands
-        elsewhere, with the motion that it had, P_pp <- P_pp + nu_p nu_p^T; the same for the attitude.
-        """
-        lead = self.members[0]
-        follower = lead.copy()
-        follower.without, follower.doubts = "", {}
-        follower.adopt(lead.filter.constants if lead.right is None else lead.right, doubts_imu=True)
-        eskf = follower.filter
-        for clone in list(eskf.clones):  # nobody knows whether a kept pose has jumped, too
-            eskf.forget(clone)
-        since_s = min(max((aid.t_ns - lead.fused_ns) * 1e-9, _UNSEEN_S), _FORGOTTEN_S)
-        unknown = imu.unknown_motion(eskf.constants, since_s)
-        eskf.cov[: E.SIZE, : E.SIZE] += _LIKELY * unknown
-        seen = innovation(eskf, aid, z, gyro_b)
-        if not math.isfinite(seen.distance2):
-            return None
-        by_imu = seen.distance2 <= limit
-        eskf.cov[: E.SIZE, : E.SIZE] += (1.0 - _LIKELY) * unknown
-        if not by_imu:
-            for part in (E.P, E.THETA):
-                off = seen.h[:, part].T @ seen.nu
-                eskf.cov[part, part] += np.outer(off, off)
-        seen = innovation(eskf, aid, z, gyro_b)
-        follower.weight = self._behind(aid, vouched=vouched, by_imu=by_imu)  # relative to the leading one's
-        is_first = aid.topic not in lead.doubts  # that is refused: it may be the true one
-        follower.benefit = max(-follower.weight - _SEEN, 0.0) if is_first else -_UNSEEN
-        follower.fused_ns = follower.run_ns = follower.parted_ns = aid.t_ns
-        follower.run = 1
-        eskf.update(seen)
-        return follower
-
-    def _raise_alternative(self, aid: Aid, fused: list[bool], vouched: bool) -> None:
-        """The leading hypothesis begins to reject fixes that another one fuses: that one gets at least a follower's weight."""
-        others = [m for m, was_fused in zip(self.members, fused, strict=True) if was_fused and not m.without]
-        if others:
-            best = max(others, key=lambda m: m.weight)
-            best.weight = max(best.weight, self.members[0].weight + self._behind(aid, vouched=vouched, by_imu=best.doubts_imu))
-
-    def _behind(self, aid: Aid, *, vouched: bool, by_imu: bool) -> float:
-        """ln of the weight with which what contradicts the leading hypothesis begins, relative to it.
-
-        margin - max(t / AGAIN_S, t' / again_s), by the times t that the leading one holds, t' its confirmed run. Refused fixes
-        make it up at 1 / again_s: a slower pace begins no nearer.
-        """
-        lead = self.members[0]
-        holds_s = confirmed_s = lead.holds_s(aid.t_ns, imu_may_be_wrong=by_imu)
-        again_s = self._again_s(aid, vouched=vouched)
-        if again_s > _RECEIVER_S:  # another source confirms it
-            confirmed_s = max(holds_s, min((lead.fused_ns - lead.run_ns) * 1e-9, _CONFIRMED_S))
-        return _MARGIN - max(holds_s / AGAIN_S, confirmed_s / again_s)
-
-    def _again_s(self, aid: Aid, *, vouched: bool) -> float:
-        """The leading hypothesis loses 1 / this, ln, in a second of fixes that it refuses.
-
-        The longest where another source confirms it; longer for a receiver, whose readings share their error, than for fixes.
-        """
-        own = f"{aid.topic}/"  # velocities of the same receiver
-        others = any(topic != aid.topic and not topic.startswith(own) for topic in self.members[0].doubts)
-        if vouched and not others:
-            return max(lasts_s(aid.kind), AGAIN_S)
-        return AGAIN_S if aid.log_misled is None else _RECEIVER_S
-
-    def _come_back(self, last_ns: int) -> None:
-        """The leading hypothesis fuses a fix by its variance factor alone, after some since last_ns that only a follower fused.
-
-        They were true, and its covariance has not the shape of its error: it goes on from where the follower is.
-        """
-        lead = self.members[0]
-        for member in self.members[1:]:
-            if member.doubts_imu and member.run > _SOME and member.run_ns > last_ns and not member.doubts:
-                constants = lead.filter.constants
-                lead.filter = member.filter.copy()
-                lead.filter.constants = constants
-                return
-
-    def _trust_imu_again(self, t_ns: int) -> None:
-        """The leading hypothesis takes the IMU for wrong: from its newest fix on another one takes it for right again."""
-        lead = self.members[0]
-        assert lead.right is not None
-        other = lead.copy()
-        other.adopt(lead.right, doubts_imu=False)
-        other.weight, other.parted_ns = lead.weight - _MARGIN, t_ns
-        self.members.append(other)
-
-    def _rank(self, t_ns: int, follower: Hypothesis | None = None) -> None:
+    def _rank(self, t_ns: int, newborn: Hypothesis | None = None) -> None:
         """Let the heaviest lead if its margin is enough; drop those that are far behind or no longer differ.
 
         Where there are too many, a new follower replaces the least likely one, because all others have rejected the fix.
@@ -480,7 +385,7 @@ class Hypotheses:
             return
         lead, *others = self.members
         best = max(others, key=lambda m: m.weight, default=lead)
-        if best.weight > lead.weight + _MARGIN:
+        if best.weight > lead.weight + MARGIN:
             others = [lead, *(m for m in others if m is not best)]
             best.decided, self.disputed = frozenset(best.rejected - lead.doubts.keys()), frozenset()
             lead = best
@@ -489,8 +394,8 @@ class Hypotheses:
         kept = [m for m in others if m.without and (t_ns - m.fused_ns) * 1e-9 < LEFT_OUT_S]
         others = [m for m in others if not m.without and m.matters_beside(lead) and not m.has_settled(t_ns)]
         others.sort(key=lambda m: -(m.weight + m.benefit))
-        if follower in others[_MOST - 1 :]:
-            others[_MOST - 2] = follower
+        if newborn in others[_MOST - 1 :]:
+            others[_MOST - 2] = newborn
         self.members = [lead, *others[: _MOST - 1], *kept]
         top = lead.weight
         for member in self.members:

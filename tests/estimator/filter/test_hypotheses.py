@@ -11,7 +11,7 @@ import pytest
 
 from estimator.filter.eskf import Eskf
 from estimator.filter.hypotheses import Doubt, Hypotheses, Hypothesis
-from estimator.filter.hypotheses.hypotheses import AGAIN_S
+from estimator.filter.hypotheses.follower import AGAIN_S
 from estimator.fusion import Fusion, FusionConfig
 from estimator.sources.base.aid import Aid
 from estimator.sources.base.faults import lasts_s

@@ -1,0 +1,120 @@
+"""Followers: one begins at a fix that nobody predicts, because the filter may have gone wrong.
+
+The IMU was wrong since the last fix, or the estimate stands elsewhere. A follower takes every fix that the last one of its own
+predicts, so consistent fixes are never locked out: they win when they are more than those of the leading hypothesis by three
+(hypothesis.holds_s). Once a follower leads, the IMU is right again by a branch that its next fixes confirm.
+"""
+
+import math
+
+import numpy as np
+
+from estimator.filter.hypotheses.hypothesis import Hypothesis
+from estimator.filter.hypotheses.innovation import innovation
+from estimator.sources.base.aid import Aid
+from estimator.sources.base.faults import lasts_s
+from models import imu
+from models.measurements import Measurement
+from models.messages import Array
+from models.state import E
+
+MARGIN = 3.0  # ln: by which another must be better to lead
+AGAIN_S = 0.4  # a fix that is refused again costs 1 / AGAIN_S a second, ln
+_RECEIVER_S = 2.0  # the same of a receiver alone, whose readings share their error: a barometer has its say
+_CONFIRMED_S = 60.0  # a run that another source confirms wins against a shorter one, up to this length
+_UNSEEN_S, _FORGOTTEN_S = 0.5, 5.0  # a wrong IMU has been so since the last fix, within these limits
+_LIKELY = 0.25  # share of the unknown motion within which an IMU that is wrong explains a fix
+_SEEN = 3.0  # ln: so far behind the leading one a new follower counts in the covariance
+_UNSEEN = 10.0  # ln: by so much less one counts there whose source is refused already
+_SOME = 2  # fixes that a follower has fused, after which it is where the fixes are
+
+
+def begin(lead: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, limit: float, *, vouched: bool) -> Hypothesis | None:
+    """The leading hypothesis gone wrong since its last fix, which fuses what nobody predicts; its weight is relative to that one.
+
+    By the IMU: P <- P + Q(dt) of an unknown motion, which goes on. Where that does not explain the fix: the estimate stands
+    elsewhere, with the motion that it had, P_pp <- P_pp + nu_p nu_p^T; the same for the attitude.
+    """
+    other = lead.copy()
+    other.without, other.doubts = "", {}
+    other.adopt(lead.filter.constants if lead.right is None else lead.right, doubts_imu=True)
+    eskf = other.filter
+    for clone in list(eskf.clones):  # nobody knows whether a kept pose has jumped, too
+        eskf.forget(clone)
+    since_s = min(max((aid.t_ns - lead.fused_ns) * 1e-9, _UNSEEN_S), _FORGOTTEN_S)
+    unknown = imu.unknown_motion(eskf.constants, since_s)
+    eskf.cov[: E.SIZE, : E.SIZE] += _LIKELY * unknown
+    seen = innovation(eskf, aid, z, gyro_b)
+    if not math.isfinite(seen.distance2):
+        return None
+    by_imu = seen.distance2 <= limit
+    eskf.cov[: E.SIZE, : E.SIZE] += (1.0 - _LIKELY) * unknown
+    if not by_imu:
+        for part in (E.P, E.THETA):
+            off = seen.h[:, part].T @ seen.nu
+            eskf.cov[part, part] += np.outer(off, off)
+    seen = innovation(eskf, aid, z, gyro_b)
+    other.weight = behind(lead, aid, vouched=vouched, by_imu=by_imu)
+    is_first = aid.topic not in lead.doubts  # that is refused: it may be the true one
+    other.benefit = max(-other.weight - _SEEN, 0.0) if is_first else -_UNSEEN
+    other.fused_ns = other.run_ns = other.parted_ns = aid.t_ns
+    other.run = 1
+    eskf.update(seen)
+    return other
+
+
+def behind(lead: Hypothesis, aid: Aid, *, vouched: bool, by_imu: bool) -> float:
+    """ln of the weight with which what contradicts the leading hypothesis begins, relative to it.
+
+    margin - max(t / AGAIN_S, t' / again_s), by the times t that the leading one holds, t' its confirmed run. Refused fixes
+    make it up at 1 / again_s: a slower pace begins no nearer.
+    """
+    holds_s = confirmed_s = lead.holds_s(aid.t_ns, imu_may_be_wrong=by_imu)
+    pace_s = again_s(lead, aid, vouched=vouched)
+    if pace_s > _RECEIVER_S:  # another source confirms it
+        confirmed_s = max(holds_s, min((lead.fused_ns - lead.run_ns) * 1e-9, _CONFIRMED_S))
+    return MARGIN - max(holds_s / AGAIN_S, confirmed_s / pace_s)
+
+
+def again_s(lead: Hypothesis, aid: Aid, *, vouched: bool) -> float:
+    """The leading hypothesis loses 1 / this, ln, in a second of fixes that it refuses.
+
+    The longest where another source confirms it; longer for a receiver, whose readings share their error, than for fixes.
+    """
+    own = f"{aid.topic}/"  # velocities of the same receiver
+    others = any(topic != aid.topic and not topic.startswith(own) for topic in lead.doubts)
+    if vouched and not others:
+        return max(lasts_s(aid.kind), AGAIN_S)
+    return AGAIN_S if aid.log_misled is None else _RECEIVER_S
+
+
+def raise_alternative(members: list[Hypothesis], aid: Aid, fused: list[bool], *, vouched: bool) -> None:
+    """The leading hypothesis begins to reject fixes that another one fuses: that one gets at least a follower's weight."""
+    lead = members[0]
+    others = [m for m, was_fused in zip(members, fused, strict=True) if was_fused and not m.without]
+    if others:
+        best = max(others, key=lambda m: m.weight)
+        best.weight = max(best.weight, lead.weight + behind(lead, aid, vouched=vouched, by_imu=best.doubts_imu))
+
+
+def come_back(members: list[Hypothesis], last_ns: int) -> None:
+    """The leading hypothesis fuses a fix by its variance factor alone, after some since last_ns that only a follower fused.
+
+    They were true, and its covariance has not the shape of its error: it goes on from where the follower is.
+    """
+    lead = members[0]
+    for member in members[1:]:
+        if member.doubts_imu and member.run > _SOME and member.run_ns > last_ns and not member.doubts:
+            constants = lead.filter.constants
+            lead.filter = member.filter.copy()
+            lead.filter.constants = constants
+            return
+
+
+def with_imu_right(lead: Hypothesis, t_ns: int) -> Hypothesis:
+    """The leading hypothesis takes the IMU for wrong: from its newest fix on another one takes it for right again."""
+    assert lead.right is not None
+    other = lead.copy()
+    other.adopt(lead.right, doubts_imu=False)
+    other.weight, other.parted_ns = lead.weight - MARGIN, t_ns
+    return other
