@@ -349,7 +349,7 @@ class Tracker:
         if (aid.absolute or aid.receiver) and isinstance(z, Pose | Position | Velocity):
             now = known.also(aid.t_ns, verdict.seen, core.variance_factor.value)
             self.scatter = {**self.scatter, aid.topic: now}
-        if trusted and aid.absolute:
+        if trusted and aid.absolute and not verdict.explained:
             core.note_variance(aid, verdict.seen)
         if verdict.fused and aid.absolute and alone and not aid.geodetic:  # two sources that disagree are no motion
             self._note_biases(aid, verdict.seen)

@@ -26,7 +26,7 @@ _UNSEEN_S, _FORGOTTEN_S = 0.5, 5.0  # a wrong IMU has been so since the last fix
 _LIKELY = 0.25  # share of the unknown motion within which an IMU that is wrong explains a fix
 _SEEN = 3.0  # ln: so far behind the leading one a new follower counts in the covariance
 _UNSEEN = 10.0  # ln: by so much less one counts there whose source is refused already
-_SOME = 2  # fixes that a follower has fused, after which it is where the fixes are
+_FEW = 3  # fixes of a follower, too few to decide
 
 
 def begin(lead: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, limit: float, *, vouched: bool) -> Hypothesis | None:
@@ -97,18 +97,9 @@ def raise_alternative(members: list[Hypothesis], aid: Aid, fused: list[bool], *,
         best.weight = max(best.weight, lead.weight + behind(lead, aid, vouched=vouched, by_imu=best.doubts_imu))
 
 
-def come_back(members: list[Hypothesis], last_ns: int) -> None:
-    """The leading hypothesis fuses a fix by its variance factor alone, after some since last_ns that only a follower fused.
-
-    They were true, and its covariance has not the shape of its error: it goes on from where the follower is.
-    """
-    lead = members[0]
-    for member in members[1:]:
-        if member.doubts_imu and member.run > _SOME and member.run_ns > last_ns and not member.doubts:
-            constants = lead.filter.constants
-            lead.filter = member.filter.copy()
-            lead.filter.constants = constants
-            return
+def is_new(member: Hypothesis) -> bool:
+    """It takes the IMU for wrong, and has not fused enough to decide."""
+    return member.doubts_imu and member.run <= _FEW
 
 
 def with_imu_right(lead: Hypothesis, t_ns: int) -> Hypothesis:

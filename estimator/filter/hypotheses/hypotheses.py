@@ -14,8 +14,8 @@ contradict it later: it keeps the false one and locks the true ones out. So the 
 
 j: the hypotheses that take the source for true; e: the share of false readings, u: their uniform density; tau: how long a fault
 that repeats itself lasts, of positions that the leading hypothesis alone refuses AGAIN_S (of a receiver _RECEIVER_S). The leading
-hypothesis is the estimate; another takes over when its weight is larger by a margin. By the same margin a velocity must be better
-predicted as the last false one than as true, where a gate was all that spoke against the last one; a fix inside the gate is true.
+hypothesis is the estimate; another takes over when its weight is larger by a margin. A reading
+inside the gate is true, but to a hypothesis that goes on without its source.
 
 A false fix that was sought where the vehicle was expected fits well too. So in the covariance, though not in the decision, a
 sceptic begins with the weight e at least, and loses twice dt / tau: after an outage the first fixes are published with the chance
@@ -37,31 +37,32 @@ import numpy as np
 
 from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.hypotheses import follower, left_out
+from estimator.filter.hypotheses.evidence import Evidence, noisier, weighed
 from estimator.filter.hypotheses.follower import AGAIN_S, MARGIN
 from estimator.filter.hypotheses.hypothesis import FORGET, Doubt, Hypothesis
 from estimator.filter.hypotheses.innovation import innovation
 from estimator.filter.hypotheses.left_out import LEFT_OUT_S
-from estimator.filter.hypotheses.mixture import covariance, ln_sum
+from estimator.filter.hypotheses.mixture import covariance
 from estimator.sources.base.aid import Aid
 from estimator.sources.base.faults import lasts_s
 from estimator.sources.base.gating import gate
-from models.measurements import Measurement, mahalanobis
+from models.measurements import Measurement
 from models.messages import Array
 from models.state import X
 
 _MOST = 4  # hypotheses at a time, those without a receiver not counted
 _LEAST_DOUBT = 1.0  # ln: a sceptic starts at least this far behind
 _TINY = 1e-9
-_NOISIER = 256.0  # times the variance that a source claims
 
 
 class Verdict(NamedTuple):
-    """What the leading hypothesis made of a measurement."""
+    """What the leading hypothesis made of a measurement; explained: a new follower fused what it refused."""
 
     seen: Innovation
     gate: float
     passed: bool
     fused: bool
+    explained: bool = False
 
 
 class Hypotheses:
@@ -152,30 +153,19 @@ class Hypotheses:
         )
         born: list[Hypothesis] = []
         anew = aid.absolute and not set_aside and not passed[0] and aid.topic not in self.members[0].doubts
-        again_s = follower.again_s(self.members[0], aid, vouched=vouched)
-        agreement = self._agreement(aid, seen, passed, again_s)
-        doubted = self._doubted(aid, agreement)
-        # A receiver is right or wrong in both: where its positions are doubted, its velocities are no evidence.
-        by_receiver = self._predicted([j for j, m in enumerate(self.members) if aid.receiver not in m.doubts], seen)
+        evidence = weighed(self.members, aid, seen, passed, follower.again_s(self.members[0], aid, vouched=vouched))
         fused = [False] * len(seen)
 
         def answer(k: int) -> float:
             """What hypothesis k gains."""
             member, before = self.members[k], self.members[k].weight
-            lead_refuses = k > 0 and not fused[0]
-            fused[k] = self._answer(
-                k, aid, seen[k], passed[k], agreement[k], doubted, born, by_receiver, lead_refuses=lead_refuses
-            )
+            fused[k] = self._answer(k, evidence, born, lead_refuses=k > 0 and not fused[0])
             return member.weight - before
 
-        last_ns = self.members[0].fused_ns
         following = [k for k, m in enumerate(self.members) if m.without != aid.witness and aid.witness not in m.doubts]
         gained = {k: answer(k) for k, m in enumerate(self.members) if m.without != aid.witness}
         by_others = gained[0] if 0 in gained else max((gained[k] for k in following), default=None)
-        if 0 in gained and fused[0] and aid.geodetic and aid.slow_errors:
-            self._forgo_breadth(seen, gained, fused)
-        if aid.absolute and fused[0] and seen[0].distance2 * self.lead.variance_factor > limit:
-            follower.come_back(self.members, last_ns)
+        explained = not fused[0] and any(f and follower.is_new(m) for f, m in zip(fused, self.members, strict=True))
         for k, member in enumerate(self.members):
             if k in gained:
                 self._limit(k, aid, gained, fused)
@@ -204,19 +194,7 @@ class Hypotheses:
         if aid.absolute and fused[0] and self.members[0].doubts_imu:
             self.members.append(follower.with_imu_right(self.members[0], aid.t_ns))
         self._rank(aid.t_ns, newborn)
-        return Verdict(seen[0], limit, passed[0], fused[0])
-
-    def _forgo_breadth(self, seen: list[Innovation], gained: dict[int, float], fused: list[bool]) -> None:
-        """Where both fuse GNSS, a hypothesis gains on the leading one at most max(0, (d_0^2 - d_k^2) / 2), by the distances.
-
-        -d^2 / 2 - ln|S| / 2 is the evidence of one fix. A considered slow error is in S of every fix and never estimated, so the
-        determinants would count it each time: at 5 Hz a filter with GNSS alone would win against one that has better fixes too.
-        """
-        for k, by_k in gained.items():
-            excess = by_k - gained[0] - max(0.0, 0.5 * (seen[0].distance2 - seen[k].distance2))
-            if k and fused[k] and excess > 0.0:
-                self.members[k].weight -= excess
-                gained[k] -= excess
+        return Verdict(seen[0], limit, passed[0], fused[0], explained)
 
     def _limit(self, k: int, aid: Aid, gained: dict[int, float], fused: list[bool]) -> None:
         """What a fix may add to a hypothesis k without a receiver; where the leading one refuses it, there is a conflict."""
@@ -264,76 +242,26 @@ class Hypotheses:
             member.weight -= top
         self.members = possible
 
-    def _agreement(self, aid: Aid, seen: list[Innovation], passed: list[bool], again_s: float) -> list[float | None]:
-        """ln of the evidence that a hypothesis, which took the source's last reading for false, sees the same falsehood again.
-
-        The hypotheses that take the source for true predict its next reading, each with its weight: so the others never gain on
-        them. No hypothesis is made about a reading that is not absolute, so there those predict too that take it for true
-        again: it must not be evidence against those alone that do not predict it.
-        """
-        doubts = [m.doubts.get(aid.topic) for m in self.members]
-        if not any(doubts):  # most of the time
-            return [None] * len(doubts)
-        lasts = lasts_s(aid.kind)
-        fades = [
-            -(aid.t_ns - doubt.last_ns) * 1e-9 / (again_s if aid.absolute and not doubt.deliberate else lasts) if doubt else 0.0
-            for doubt in doubts
-        ]
-        believe = [j for j, doubt in enumerate(doubts) if passed[j] and doubt is None]
-        predicted = self._predicted(believe, seen)
-        again = [
-            j
-            for j, doubt in enumerate(doubts)
-            if passed[j]
-            and doubt
-            and not doubt.deliberate
-            and not aid.absolute
-            and predicted + fades[j] <= seen[j].log_likelihood + MARGIN
-        ]
-        predicted_by_all = self._predicted(believe + again, seen)
-        agreement = [(predicted if passed[k] else predicted_by_all) + fade for k, fade in enumerate(fades)]
-        return [a if doubt and a > -math.inf else None for a, doubt in zip(agreement, doubts, strict=True)]
-
-    def _predicted(self, by: list[int], seen: list[Innovation]) -> float:
-        """ln of a reading's density to the hypotheses `by`: sum of w_j N(nu_j; 0, S_j) / sum of w_j; -inf without any."""
-        if not by:
-            return -math.inf
-        weights = [self.members[j].weight for j in by]
-        return ln_sum([w + seen[j].log_likelihood for w, j in zip(weights, by, strict=True)]) - ln_sum(weights)
-
-    def _answer(
-        self,
-        k: int,
-        aid: Aid,
-        seen: Innovation,
-        passed: bool,
-        agreement: float | None,
-        doubted: float,
-        born: list[Hypothesis],
-        by_receiver: float,
-        *,
-        lead_refuses: bool,
-    ) -> bool:
+    def _answer(self, k: int, e: Evidence, born: list[Hypothesis], *, lead_refuses: bool) -> bool:
         """Hypothesis k takes the measurement for true (and fuses it), for false, or for the last falsehood again.
 
-        doubted: weight of the heaviest sceptic that there is already; by_receiver: ln of the density of a velocity to those that
-        take its receiver's positions for true, -inf without any; lead_refuses: the leading hypothesis took it for false.
+        born: takes the sceptic; lead_refuses: the leading hypothesis took it for false.
         """
+        aid, seen, passed, again = e.aid, e.seen[k], e.passed[k], e.again[k]
         member, doubt = self.members[k], self.members[k].doubts.get(aid.topic)
         true = seen.log_likelihood
-        if (k > 0 or not passed) and aid.receiver in member.doubts and by_receiver > -math.inf:
-            member.weight += max(by_receiver, aid.log_false)
+        if (k > 0 or not passed) and aid.receiver in member.doubts and e.by_receiver > -math.inf:
+            member.weight += max(e.by_receiver, aid.log_false)
             return False
-        foretold = not aid.absolute and agreement is not None and agreement > true + MARGIN
-        if doubt and agreement is not None and (doubt.deliberate or not passed or foretold):
-            member.weight += agreement if doubt.deliberate or not aid.absolute else max(agreement, _noisier(aid, seen))
+        if doubt and again is not None and (doubt.deliberate or not passed):
+            member.weight += again if doubt.deliberate or not aid.absolute else max(again, noisier(aid, seen))
             member.benefit = max(member.benefit - (aid.t_ns - doubt.last_ns) * 1e-9 / lasts_s(aid.kind), 0.0)
             doubt.last_ns = aid.t_ns
             return False
         if passed:
             margin = max(true - aid.log_false, _LEAST_DOUBT)
             may_doubt = aid.absolute and (k == 0 or not member.without)
-            if may_doubt and margin < FORGET and member.weight + true - margin > doubted:
+            if may_doubt and margin < FORGET and member.weight + true - margin > e.doubted:
                 sceptic = member.copy()
                 sceptic.weight += true - margin
                 sceptic.benefit = max(margin + math.log(aid.rules.false_share), 0.0) if aid.resembles else 0.0
@@ -358,20 +286,6 @@ class Hypotheses:
             member.weight -= (aid.t_ns - member.fused_ns) * 1e-9 / AGAIN_S
         member.doubts[aid.topic] = Doubt(aid.t_ns, deliberate=False)
         return False
-
-    def _doubted(self, aid: Aid, agreement: list[float | None]) -> float:
-        """Weight of the heaviest hypothesis that goes on without the source deliberately, after this measurement; none: -inf.
-
-        One of the last outage has all but died away until the next, and does not stand for the doubt of the first fix after it.
-        """
-        return max(
-            (
-                m.weight + again
-                for m, again in zip(self.members, agreement, strict=True)
-                if again is not None and m.doubts[aid.topic].deliberate and not m.has_settled(aid.t_ns)
-            ),
-            default=-math.inf,
-        )
 
     def _rank(self, t_ns: int, newborn: Hypothesis | None = None) -> None:
         """Let the heaviest lead if its margin is enough; drop those that are far behind or no longer differ.
@@ -417,9 +331,3 @@ class Hypotheses:
         """The leading hypothesis has won against this source, and other ones still confirm it: it is not in question again."""
         lead = self.members[0]
         return aid.topic in lead.decided and (aid.t_ns - lead.fused_ns) * 1e-9 < LEFT_OUT_S
-
-
-def _noisier(aid: Aid, seen: Innovation) -> float:
-    """ln of the density of a reading whose source is noisier than it claims: e N(nu; 0, S + (n - 1) R)."""
-    distance2, logdet = mahalanobis(seen.nu, seen.s + (_NOISIER - 1.0) * seen.noise)
-    return math.log(aid.rules.false_share) - 0.5 * (distance2 + logdet + len(seen.nu) * math.log(2.0 * math.pi))

@@ -1,0 +1,78 @@
+"""What a reading says to each hypothesis: it is true, false, or the last false one again.
+
+    again_k = ln (sum w_j N(nu_j; 0, S_j) / sum w_j) - dt / tau_k
+
+j: the hypotheses that take it for true. They predict the next false reading too, each with its weight: so one that took the last
+reading for false never gains on them.
+"""
+
+import math
+from typing import NamedTuple
+
+from estimator.filter.eskf import Innovation
+from estimator.filter.hypotheses.hypothesis import Hypothesis
+from estimator.filter.hypotheses.mixture import ln_sum
+from estimator.sources.base.aid import Aid
+from estimator.sources.base.faults import lasts_s
+from models.measurements import mahalanobis
+
+_NOISIER = 256.0  # times the variance that a source claims
+
+
+class Evidence(NamedTuple):
+    """Of one reading, by hypothesis: seen; passed: inside the gate; again: see above, None where the last reading was not false.
+
+    doubted: weight of the heaviest one that goes on without the source deliberately, with this reading, -inf without any;
+    by_receiver: ln of the density of a velocity to those that take its receiver's positions for true, -inf without any.
+    """
+
+    aid: Aid
+    seen: list[Innovation]
+    passed: list[bool]
+    again: list[float | None]
+    doubted: float
+    by_receiver: float
+
+
+def weighed(members: list[Hypothesis], aid: Aid, seen: list[Innovation], passed: list[bool], again_s: float) -> Evidence:
+    """The evidence of a reading; again_s: tau of a position that the leading hypothesis refuses."""
+    again = _again(members, aid, seen, passed, again_s)
+    doubted = max(
+        (
+            m.weight + by_member
+            for m, by_member in zip(members, again, strict=True)
+            if by_member is not None and m.doubts[aid.topic].deliberate and not m.has_settled(aid.t_ns)
+        ),
+        default=-math.inf,
+    )
+    # A receiver is right or wrong in both: where its positions are doubted, its velocities are no evidence.
+    by_receiver = _predicted(members, [j for j, m in enumerate(members) if aid.receiver not in m.doubts], seen)
+    return Evidence(aid, seen, passed, again, doubted, by_receiver)
+
+
+def noisier(aid: Aid, seen: Innovation) -> float:
+    """ln of the density of a reading whose source is noisier than it claims: e N(nu; 0, S + (n - 1) R)."""
+    distance2, logdet = mahalanobis(seen.nu, seen.s + (_NOISIER - 1.0) * seen.noise)
+    return math.log(aid.rules.false_share) - 0.5 * (distance2 + logdet + len(seen.nu) * math.log(2.0 * math.pi))
+
+
+def _again(members: list[Hypothesis], aid: Aid, seen: list[Innovation], passed: list[bool], again_s: float) -> list[float | None]:
+    doubts = [m.doubts.get(aid.topic) for m in members]
+    if not any(doubts):  # most of the time
+        return [None] * len(doubts)
+    follow = [j for j, doubt in enumerate(doubts) if passed[j] and not (doubt and doubt.deliberate)]
+    predicted, lasts = _predicted(members, follow, seen), lasts_s(aid.kind)
+    return [
+        predicted - (aid.t_ns - doubt.last_ns) * 1e-9 / (again_s if aid.absolute and not doubt.deliberate else lasts)
+        if doubt and follow
+        else None
+        for doubt in doubts
+    ]
+
+
+def _predicted(members: list[Hypothesis], by: list[int], seen: list[Innovation]) -> float:
+    """ln of a reading's density to the hypotheses `by`: sum of w_j N(nu_j; 0, S_j) / sum of w_j; -inf without any."""
+    if not by:
+        return -math.inf
+    weights = [members[j].weight for j in by]
+    return ln_sum([w + seen[j].log_likelihood for w, j in zip(weights, by, strict=True)]) - ln_sum(weights)
