@@ -145,45 +145,17 @@ class Hypotheses:
             seen.append(seen[0])
             passed.append(True)
         set_aside = left_out.is_confirmed(self.members[0], aid)
-        predicted = passed[0] or any(p and aid.topic not in m.doubts for p, m in zip(passed, self.members, strict=True))
-        newborn = (
-            follower.begin(self.members[0], aid, z, gyro_b, limit, vouched=vouched)
-            if aid.absolute and not predicted and not set_aside
-            else None
-        )
-        born: list[Hypothesis] = []
+        newborn = None
+        if aid.absolute and not set_aside and not self._is_predicted(aid, passed):
+            newborn = follower.begin(self.members[0], aid, z, gyro_b, limit, vouched=vouched)
         anew = aid.absolute and not set_aside and not passed[0] and aid.topic not in self.members[0].doubts
         evidence = weighed(self.members, aid, seen, passed, follower.again_s(self.members[0], aid, vouched=vouched))
-        fused = [False] * len(seen)
-
-        def answer(k: int) -> float:
-            """What hypothesis k gains."""
-            member, before = self.members[k], self.members[k].weight
-            fused[k] = self._answer(k, evidence, born, lead_refuses=k > 0 and not fused[0])
-            return member.weight - before
-
-        following = [k for k, m in enumerate(self.members) if m.without != aid.witness and aid.witness not in m.doubts]
-        gained = {k: answer(k) for k, m in enumerate(self.members) if m.without != aid.witness}
-        by_others = gained[0] if 0 in gained else max((gained[k] for k in following), default=None)
+        born: list[Hypothesis] = []
+        fused = self._answers(evidence, born, set_aside=set_aside)
         explained = not fused[0] and any(f and follower.is_new(m) for f, m in zip(fused, self.members, strict=True))
-        for k, member in enumerate(self.members):
-            if k in gained:
-                self._limit(k, aid, gained, fused)
-                doubt = member.doubts.get(aid.topic)
-                if k and 0 in gained and not fused[0] and not fused[k] and doubt and doubt.deliberate:
-                    member.weight += min(0.0, gained[0] - gained[k])  # false to both: no evidence between them
-            elif by_others is not None:
-                member.weight += by_others
-            elif passed[k] and not set_aside and not aid.receiver:
-                member.without = ""  # no other one follows the receiver, which agrees: it is judged again
-                answer(k)
         if anew:
             follower.raise_alternative(self.members, aid, fused, vouched=vouched)
         at_fix = left_out.moved(self.members[0], aid, z, gyro_b, seen[0]) if newborn and self.members[0].receiver else None
-        for member, was_fused in zip(self.members, fused, strict=True):
-            doubt = member.doubts.get(aid.topic)
-            if was_fused != fused[0] and not (doubt and doubt.deliberate):
-                member.parted_ns = aid.t_ns
         left_out.begin_again(self.members, aid, fused, at_fix, seen)
         if newborn:
             newborn.weight += self.members[0].weight
@@ -195,6 +167,43 @@ class Hypotheses:
             self.members.append(follower.with_imu_right(self.members[0], aid.t_ns))
         self._rank(aid.t_ns, newborn)
         return Verdict(seen[0], limit, passed[0], fused[0], explained)
+
+    def _is_predicted(self, aid: Aid, passed: list[bool]) -> bool:
+        """The leading hypothesis predicts the fix, or one that fused the last fix of its source."""
+        return passed[0] or any(p and aid.topic not in m.doubts for p, m in zip(passed, self.members, strict=True))
+
+    def _answers(self, e: Evidence, born: list[Hypothesis], *, set_aside: bool) -> list[bool]:
+        """Let every hypothesis answer, and say which fuse; one without the source gains what the leading one gains.
+
+        set_aside: the leading one goes on without the receiver of this reading; born: takes the sceptics.
+        """
+        aid, fused = e.aid, [False] * len(e.seen)
+
+        def answer(k: int) -> float:
+            """What hypothesis k gains."""
+            member, before = self.members[k], self.members[k].weight
+            fused[k] = self._answer(k, e, born, lead_refuses=k > 0 and not fused[0])
+            return member.weight - before
+
+        following = [k for k, m in enumerate(self.members) if m.without != aid.witness and aid.witness not in m.doubts]
+        gained = {k: answer(k) for k, m in enumerate(self.members) if m.without != aid.witness}
+        by_others = gained[0] if 0 in gained else max((gained[k] for k in following), default=None)
+        for k, member in enumerate(self.members):
+            if k in gained:
+                self._limit(k, aid, gained, fused)
+                doubt = member.doubts.get(aid.topic)
+                if k and 0 in gained and not fused[0] and not fused[k] and doubt and doubt.deliberate:
+                    member.weight += min(0.0, gained[0] - gained[k])  # false to both: no evidence between them
+            elif by_others is not None:
+                member.weight += by_others
+            elif e.passed[k] and not set_aside and not aid.receiver:
+                member.without = ""  # no other one follows the receiver, which agrees: it is judged again
+                answer(k)
+        for member, was_fused in zip(self.members, fused, strict=True):
+            doubt = member.doubts.get(aid.topic)
+            if was_fused != fused[0] and not (doubt and doubt.deliberate):
+                member.parted_ns = aid.t_ns
+        return fused
 
     def _limit(self, k: int, aid: Aid, gained: dict[int, float], fused: list[bool]) -> None:
         """What a fix may add to a hypothesis k without a receiver; where the leading one refuses it, there is a conflict."""
@@ -250,7 +259,7 @@ class Hypotheses:
         aid, seen, passed, again = e.aid, e.seen[k], e.passed[k], e.again[k]
         member, doubt = self.members[k], self.members[k].doubts.get(aid.topic)
         true = seen.log_likelihood
-        if (k > 0 or not passed) and aid.receiver in member.doubts and e.by_receiver > -math.inf:
+        if aid.receiver in member.doubts and e.by_receiver > -math.inf:
             member.weight += max(e.by_receiver, aid.log_false)
             return False
         if doubt and again is not None and (doubt.deliberate or not passed):
