@@ -10,7 +10,7 @@ import math
 from typing import NamedTuple
 
 from estimator.filter.eskf import Innovation
-from estimator.filter.hypotheses.hypothesis import Hypothesis
+from estimator.filter.hypotheses.hypothesis import MARGIN, Hypothesis
 from estimator.filter.hypotheses.mixture import ln_sum
 from estimator.sources.base.aid import Aid
 from estimator.sources.base.faults import lasts_s
@@ -57,17 +57,26 @@ def noisier(aid: Aid, seen: Innovation) -> float:
 
 
 def _again(members: list[Hypothesis], aid: Aid, seen: list[Innovation], passed: list[bool], again_s: float) -> list[float | None]:
+    """No hypothesis is made about a reading that is not absolute, so there those predict too that take it for true again."""
     doubts = [m.doubts.get(aid.topic) for m in members]
     if not any(doubts):  # most of the time
         return [None] * len(doubts)
-    follow = [j for j, doubt in enumerate(doubts) if passed[j] and not (doubt and doubt.deliberate)]
-    predicted, lasts = _predicted(members, follow, seen), lasts_s(aid.kind)
-    return [
-        predicted - (aid.t_ns - doubt.last_ns) * 1e-9 / (again_s if aid.absolute and not doubt.deliberate else lasts)
-        if doubt and follow
-        else None
+    lasts = lasts_s(aid.kind)
+    fades = [
+        -(aid.t_ns - doubt.last_ns) * 1e-9 / (again_s if aid.absolute and not doubt.deliberate else lasts) if doubt else 0.0
         for doubt in doubts
     ]
+    follow = [j for j, doubt in enumerate(doubts) if passed[j] and doubt is None]
+    predicted = _predicted(members, follow, seen)
+    if not aid.absolute:
+        follow += [
+            j
+            for j, doubt in enumerate(doubts)
+            if passed[j] and doubt and not doubt.deliberate and predicted + fades[j] <= seen[j].log_likelihood + MARGIN
+        ]
+    by_all = _predicted(members, follow, seen)
+    again = [(predicted if fits else by_all) + fade for fits, fade in zip(passed, fades, strict=True)]
+    return [a if doubt and a > -math.inf else None for a, doubt in zip(again, doubts, strict=True)]
 
 
 def _predicted(members: list[Hypothesis], by: list[int], seen: list[Innovation]) -> float:

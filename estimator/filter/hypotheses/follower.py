@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from estimator.filter.hypotheses.hypothesis import Hypothesis
+from estimator.filter.hypotheses.hypothesis import MARGIN, Hypothesis
 from estimator.filter.hypotheses.innovation import innovation
 from estimator.sources.base.aid import Aid
 from estimator.sources.base.faults import lasts_s
@@ -18,7 +18,6 @@ from models.measurements import Measurement
 from models.messages import Array
 from models.state import E
 
-MARGIN = 3.0  # ln: by which another must be better to lead
 AGAIN_S = 0.4  # a fix that is refused again costs 1 / AGAIN_S a second, ln
 _RECEIVER_S = 2.0  # the same of a receiver alone, whose readings share their error: a barometer has its say
 _CONFIRMED_S = 60.0  # a run that another source confirms wins against a shorter one, up to this length

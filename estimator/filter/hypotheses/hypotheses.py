@@ -14,8 +14,9 @@ contradict it later: it keeps the false one and locks the true ones out. So the 
 
 j: the hypotheses that take the source for true; e: the share of false readings, u: their uniform density; tau: how long a fault
 that repeats itself lasts, of positions that the leading hypothesis alone refuses AGAIN_S (of a receiver _RECEIVER_S). The leading
-hypothesis is the estimate; another takes over when its weight is larger by a margin. A reading
-inside the gate is true, but to a hypothesis that goes on without its source.
+hypothesis is the estimate; another takes over when its weight is larger by a margin. By the same margin a velocity
+must be better predicted as the last false one than as true, where only a gate spoke against the last one; a fix inside the gate is
+true.
 
 A false fix that was sought where the vehicle was expected fits well too. So in the covariance, though not in the decision, a
 sceptic begins with the weight e at least, and loses twice dt / tau: after an outage the first fixes are published with the chance
@@ -38,8 +39,8 @@ import numpy as np
 from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.hypotheses import follower, left_out
 from estimator.filter.hypotheses.evidence import Evidence, noisier, weighed
-from estimator.filter.hypotheses.follower import AGAIN_S, MARGIN
-from estimator.filter.hypotheses.hypothesis import FORGET, Doubt, Hypothesis
+from estimator.filter.hypotheses.follower import AGAIN_S
+from estimator.filter.hypotheses.hypothesis import FORGET, MARGIN, Doubt, Hypothesis
 from estimator.filter.hypotheses.innovation import innovation
 from estimator.filter.hypotheses.left_out import LEFT_OUT_S
 from estimator.filter.hypotheses.mixture import covariance
@@ -259,10 +260,11 @@ class Hypotheses:
         aid, seen, passed, again = e.aid, e.seen[k], e.passed[k], e.again[k]
         member, doubt = self.members[k], self.members[k].doubts.get(aid.topic)
         true = seen.log_likelihood
-        if aid.receiver in member.doubts and e.by_receiver > -math.inf:
+        if (k > 0 or not passed) and aid.receiver in member.doubts and e.by_receiver > -math.inf:
             member.weight += max(e.by_receiver, aid.log_false)
             return False
-        if doubt and again is not None and (doubt.deliberate or not passed):
+        foretold = not aid.absolute and again is not None and again > true + MARGIN
+        if doubt and again is not None and (doubt.deliberate or not passed or foretold):
             member.weight += again if doubt.deliberate or not aid.absolute else max(again, noisier(aid, seen))
             member.benefit = max(member.benefit - (aid.t_ns - doubt.last_ns) * 1e-9 / lasts_s(aid.kind), 0.0)
             doubt.last_ns = aid.t_ns

@@ -8,6 +8,7 @@ from models import imu
 from models.messages import Array
 
 IMU_WRONG, RECEIVER_WRONG, FIX_FALSE, POSITION_WRONG = "IMU wrong", "receiver wrong", "fix false", "position wrong"
+MARGIN = 3.0  # ln: by which another must be better
 FORGET = 20.0  # ln: further behind the leading one than this, a hypothesis is dropped
 _SHOWS = 9.2  # ln 10,000: further behind, the covariance leaves it out; a gate refuses one in as many good readings
 _SETTLED_S = 20.0  # a hypothesis that has agreed with the leading one for so long goes

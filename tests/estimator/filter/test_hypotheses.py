@@ -433,7 +433,7 @@ def test_a_hypothesis_that_rejects_a_reading_it_predicts_does_not_predict_the_ne
     assert z is not None
     assert not bank.judge(aid, z, np.zeros(3), trusted=True).fused
     assert bank.members[0] is lead
-    assert doubter.weight == pytest.approx(-6.0, abs=0.5)
+    assert doubter.weight == pytest.approx(-6.0)
 
 
 def test_a_fix_that_passes_again_is_fused_and_who_foretold_it_better_leads() -> None:
