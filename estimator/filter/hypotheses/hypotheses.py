@@ -15,7 +15,7 @@ contradict it later: it keeps the false one and locks the true ones out. So the 
 j: the hypotheses that take the source for true; e: the share of false readings, u: their uniform density; tau: how long a fault
 that repeats itself lasts, of positions that the leading hypothesis alone refuses AGAIN_S (of a receiver _RECEIVER_S). The leading
 hypothesis is the estimate; another takes over when its weight is larger by a margin. By the same margin a velocity
-must be better predicted as the last false one than as true, where only a gate spoke against the last one; a fix inside the gate is
+must be better predicted as the last false one than as true, where only a gate spoke against it; a fix inside the gate is
 true.
 
 A false fix that was sought where the vehicle was expected fits well too. So in the covariance, though not in the decision, a
