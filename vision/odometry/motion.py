@@ -157,7 +157,7 @@ def solve(
         prior[:6, :6] = guide
     unknowns = np.zeros(len(prior))
     y, motion, pi = z0, start, None if plane is None else plane.pi
-    for _ in range(_ITERATIONS):
+    for _ in range(_ITERATIONS if len(y0) else 0):
         shifted = z0 - unknowns[6] * _COLUMN
         try:
             system = _linearised(geometry, y, motion, unknowns[6], pi, plane, (shifted, variance0, y1, variance1))

@@ -38,6 +38,12 @@ def test_exact_points_give_the_exact_motion() -> None:
     assert solution.distances.max() < 1e-4
 
 
+def test_no_points_give_no_motion_and_no_warning() -> None:
+    none = np.zeros((0, 3))
+    for guide in (None, np.eye(6)):
+        assert not solve(GEOMETRY, none, none, 0.25, 0.1, START, None, guide=guide).converged
+
+
 def test_the_covariance_is_that_of_the_errors() -> None:
     """200 draws of the noise: the squared distances have the mean of a chi-square of 6."""
     true, rng = Motion(*truth()), np.random.default_rng(3)
