@@ -117,12 +117,20 @@ def print_summary(summary: "ReplaySummary", out: Path) -> None:
         ("first estimate", _first_estimate(summary)),
         *((f"{topic}", _reasons(reasons)) for topic, reasons in summary.fixes.items()),
         ("modes", ", ".join(f"{mode} {s:.1f} s" for mode, s in summary.modes_s.items()) or "no estimate"),
-        ("longest without absolute fix", f"{summary.longest_without_absolute_s:.1f} s" if summary.estimates else "-"),
+        ("longest outage", _outage(summary)),
         ("worst 95 % radius", "-" if summary.worst_radius95_m is None else f"{summary.worst_radius95_m:.2f} m"),
         ("resets", str(summary.resets)),
         ("internal errors", str(summary.internal_errors)),
     ]
     print_table(f"{out}", rows)
+
+
+def _outage(summary: "ReplaySummary") -> str:
+    """The longest time without an absolute fix, as `landfix evaluate` has it."""
+    if not summary.estimates:
+        return "-"
+    s = summary.longest_without_absolute_s
+    return f"{s:.1f} s without an absolute fix" if s else "none: absolute fixes throughout"
 
 
 def _first_estimate(summary: "ReplaySummary") -> str:

@@ -6,6 +6,7 @@ from math import isfinite
 import msgspec
 
 from estimator.replay.no_estimate import advice, too_slow
+from logs.evaluation.evaluate import ALL_SOURCES, is_absolute, outages_between
 from logs.findings import Finding, Watch
 from models.messages import (
     AidStatus,
@@ -37,7 +38,7 @@ class ReplaySummary(msgspec.Struct, frozen=True):
     speed: float  # multiple of real time
     fixes: dict[str, dict[str, int]]
     modes_s: dict[str, float]  # seconds of estimates in each mode
-    longest_without_absolute_s: float  # since the first absolute fix
+    longest_without_absolute_s: float  # the longest outage, as `landfix evaluate` defines it; 0: none
     worst_radius95_m: float | None  # horizontal, since alignment; None: there is no estimate
     resets: int
     internal_errors: int
@@ -63,7 +64,7 @@ class SummaryBuilder:
         self._last_ns = 0
         self._previous_ns: int | None = None
         self._modes_ns: Counter[Mode] = Counter()
-        self._longest_ns = 0
+        self._estimate_ns = 0  # the first
         self._worst_radius_m: float | None = None
         self._began_s: float | None = None
         self._waited_for = ""
@@ -100,12 +101,10 @@ class SummaryBuilder:
     def _estimate(self, estimate: Estimate) -> None:
         self._estimates += 1
         if self._began_s is None:
-            self._began_s = self._duration_s
+            self._began_s, self._estimate_ns = self._duration_s, estimate.t_ns
         if self._previous_ns is not None and 0 < estimate.t_ns - self._previous_ns <= _LONGEST_STEP_NS:
             self._modes_ns[estimate.mode] += estimate.t_ns - self._previous_ns
         self._previous_ns = estimate.t_ns
-        if estimate.last_absolute_ns >= 0:  # negative: never
-            self._longest_ns = max(self._longest_ns, estimate.t_ns - estimate.last_absolute_ns)
 
     def _health(self, health: Health) -> None:
         if isfinite(health.radius95_m):
@@ -116,6 +115,17 @@ class SummaryBuilder:
     @property
     def _duration_s(self) -> float:
         return 0.0 if self._first_ns is None else (self._last_ns - self._first_ns) * 1e-9
+
+    def _longest_outage_s(self) -> float:
+        """Of all sources together."""
+        if self._previous_ns is None:
+            return 0.0
+        seen: dict[str, list[tuple[int, int]]] = {}
+        for (topic, kind, t_ns, arrived_ns), reason in self._decisions.items():
+            if is_absolute(kind, reason, t_ns, self._estimate_ns):
+                seen.setdefault(topic, []).append((t_ns, arrived_ns))
+        spans = outages_between(seen or {ALL_SOURCES: []}, self._estimate_ns, self._previous_ns)[ALL_SOURCES].spans
+        return max((end - start for start, end in spans), default=0) * 1e-9
 
     def findings(self) -> list[Finding]:
         """The streams at fault so far."""
@@ -140,7 +150,7 @@ class SummaryBuilder:
             speed=self._duration_s / elapsed_s if elapsed_s > 0 else 0.0,
             fixes={topic: dict(reasons) for topic, reasons in sorted(fixes.items())},
             modes_s={mode.value: ns * 1e-9 for mode, ns in self._modes_ns.items()},
-            longest_without_absolute_s=self._longest_ns * 1e-9,
+            longest_without_absolute_s=self._longest_outage_s(),
             worst_radius95_m=self._worst_radius_m,
             resets=self._resets,
             internal_errors=self._internal,

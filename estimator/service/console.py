@@ -3,6 +3,7 @@
 import contextlib
 import os
 import threading
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from queue import Empty, Full, Queue
@@ -10,12 +11,14 @@ from types import TracebackType
 from typing import Final, Self
 
 from estimator.service.log.recovery import is_torn
-from models.messages import Alert, Estimate, Health, Integrity, Mode, Output
+from models.messages import AidStatus, Alert, Estimate, Health, Integrity, Mode, Output, Reason
 
 _STDERR: Final = 2
 _WAITING_LINES: Final = 200
 _LAST_S: Final = 1.0  # at the end, for the lines that still wait
 _PERIOD_S: Final = 0.2
+_SILENT_NS: Final = 3 * 10**9
+_NO_IMU: Final = frozenset({Mode.STARTING, Mode.COASTING})
 _NO_ESTIMATE_YET: Final = frozenset({Mode.STARTING, Mode.ALIGNING})
 
 
@@ -30,6 +33,8 @@ class Console:
         self._mode: Mode | None = None
         self._alert = Alert.NOT_JUDGED
         self._estimated = False
+        self._silent_ns: int | None = None  # since when there is no IMU; 0: said
+        self._malformed = Counter[str]()
 
     def __enter__(self) -> Self:
         if not self._quiet:
@@ -48,26 +53,43 @@ class Console:
                 self._lines.put_nowait(line)
 
     def note(self, output: Output) -> None:
-        """Print the first estimate and every change of mode."""
+        """Print the first estimate, every change of mode or alert, a silent IMU, the first malformed message of each topic."""
         if isinstance(output, Estimate) and not self._estimated:
             self._estimated = True
             self.say("first estimate: published")
-        elif isinstance(output, Health) and output.mode is not self._mode:
-            self._mode = output.mode
-            radius = "" if output.mode in _NO_ESTIMATE_YET else f", 95 % radius {output.radius95_m:.1f} m"
-            detail = f": {output.detail}" if output.detail else ""
-            self.say(f"mode: {output.mode.value}{radius}{detail}")
-
+        elif isinstance(output, Health):
+            self._health(output)
         elif isinstance(output, Integrity) and output.state is not self._alert:
             self._alert = output.state
             levels = f"HPL {output.hpl_m:.1f} m, VPL {output.vpl_m:.1f} m"
             limits = "no alert limits configured, " if output.state is Alert.NOT_JUDGED else ""
             self.say(f"integrity: {output.state.value}, {output.reason or limits + levels}")
+        elif isinstance(output, AidStatus) and output.reason is Reason.MALFORMED:
+            self._malformed[output.topic] += 1
+            if self._malformed[output.topic] == 1:
+                self.say(f"malformed message on {output.topic}: {output.detail}; see what writes this topic (more are counted)")
+
+    def _health(self, health: Health) -> None:
+        """Mode, and an IMU that has been silent for 3 s, once."""
+        if health.mode is not self._mode:
+            self._mode = health.mode
+            radius = "" if health.mode in _NO_ESTIMATE_YET else f", 95 % radius {health.radius95_m:.1f} m"
+            detail = f": {health.detail}" if health.detail else ""
+            self.say(f"mode: {health.mode.value}{radius}{detail}")
+        if health.mode not in _NO_IMU:
+            self._silent_ns = None
+        elif self._silent_ns is None:
+            self._silent_ns = health.t_ns
+        elif 0 < self._silent_ns <= health.t_ns - _SILENT_NS:
+            self.say(f"no IMU sample for {_SILENT_NS * 1e-9:.0f} s: is the topic of [inputs] imu sent, on this ROS domain?")
+            self._silent_ns = 0  # said
 
     def closed(self, logs: Sequence[Path], lost_inputs: int) -> None:
         """Print each log file of this run with its size, and whether it is complete; called after the log is closed."""
         if self._quiet:
             return
+        for topic, count in self._malformed.items():
+            self.say(f"malformed messages on {topic}: {count}")
         for path in logs:
             self.say(_log_line(path))
         if not logs:

@@ -8,7 +8,7 @@ The estimate is interpolated at the truth's stamps; stamps that it does not cove
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
@@ -132,13 +132,24 @@ def find_outages(
     start, end = int(estimate.t_ns[0]), int(estimate.t_ns[-1])
     seen: dict[str, list[tuple[int, int]]] = {}
     for aid in aids:
-        in_alignment = aid.reason is Reason.ALIGNING and aid.t_ns >= start  # an estimate with an unknown heading takes it
-        if aid.kind in ABSOLUTE_KINDS and (aid.reason is Reason.FUSED or in_alignment):
+        if is_absolute(aid.kind, aid.reason, aid.t_ns, start):
             seen.setdefault(aid.topic, []).append((aid.t_ns, aid.arrived_ns))
     if not seen and health:
         seen[ALL_SOURCES] = _from_ages(health)
     if not seen and aids:
         seen[ALL_SOURCES] = []
+    return outages_between(seen, start, end, longer_than_s)
+
+
+def is_absolute(kind: str, reason: Reason, t_ns: int, start_ns: int) -> bool:
+    """Did the measurement say where the vehicle is, from the first estimate on? One with an unknown heading takes it aligning."""
+    return kind in ABSOLUTE_KINDS and (reason is Reason.FUSED or (reason is Reason.ALIGNING and t_ns >= start_ns))
+
+
+def outages_between(
+    seen: Mapping[str, list[tuple[int, int]]], start: int, end: int, longer_than_s: float | None = None
+) -> dict[str, Outages]:
+    """find_outages of what was seen: source -> validity and arrival of its absolute measurements; start, end: of the estimate."""
     outages = {source: _outages_of(points, start, end, longer_than_s) for source, points in seen.items()}
     if len(outages) > 1:
         return {ALL_SOURCES: _in_all(list(outages.values())), **outages}
