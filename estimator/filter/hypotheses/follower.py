@@ -29,7 +29,7 @@ _FEW = 3  # fixes of a follower, too few to decide
 
 
 def begin(lead: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, limit: float, *, vouched: bool) -> Hypothesis | None:
-    """The leading hypothesis gone wrong since its last fix, which fuses what nobody predicts; its weight is relative to that one.
+    """A copy of the leading hypothesis that fuses the fix, as if that one had gone wrong since its last; weight: relative to it.
 
     By the IMU: P <- P + Q(dt) of an unknown motion, which goes on. Where that does not explain the fix: the estimate stands
     elsewhere, with the motion that it had, P_pp <- P_pp + nu_p nu_p^T; the same for the attitude.
@@ -38,7 +38,7 @@ def begin(lead: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, limit: floa
     other.without, other.doubts = "", {}
     other.adopt(lead.filter.constants if lead.right is None else lead.right, doubts_imu=True)
     eskf = other.filter
-    for clone in list(eskf.clones):  # nobody knows whether a kept pose has jumped, too
+    for clone in list(eskf.clones):  # a kept pose may be wrong, too
         eskf.forget(clone)
     since_s = min(max((aid.t_ns - lead.fused_ns) * 1e-9, _UNSEEN_S), _FORGOTTEN_S)
     unknown = imu.unknown_motion(eskf.constants, since_s)

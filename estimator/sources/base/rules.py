@@ -7,7 +7,7 @@
     spacing_s    errors of readings closer than this are the same: one of them is fused
     timeout_s    without a reading for so long, the source has stopped
 
-Shares are of the order that loose handling of such sensors gives; a spacing is the correlation time of the sensor's own filter.
+The numbers are engineering judgement; none is counted in flight.
 """
 
 from typing import Final
