@@ -36,7 +36,7 @@ _LIGHT = 128  # codes: 0..89 a hue, 128..191 a lightness
 class Tolerance:
     """How far a pixel may be from a colour: light changes lightness much, haze saturation, neither changes hue.
 
-    What each width costs and is worth: benchmarks/fixes/weather.py.
+    What each width costs and is worth: benchmarks/results/recognition.json.
     """
 
     hue_deg: float = 18.0

@@ -1,1 +1,0 @@
-"""Footprints of real houses under real aerial and satellite images of some twenty towns."""
