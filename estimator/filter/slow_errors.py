@@ -1,7 +1,7 @@
 """Errors that repeat from fix to fix, states behind the 15 of the filter: named blocks of first-order Gauss-Markov processes."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,8 +9,7 @@ from models.messages import Array
 from models.state import E
 
 
-@dataclass(frozen=True, slots=True)
-class SlowErrors:
+class SlowErrors(NamedTuple):
     """columns: where a block stands in P, the one that was used last behind the others; tau_s, psd, mean: (k,) of all;
 
     psd: variance per second of the white noise that drives it, 2 sigma^2 / tau where sigma shall stay, of tau s; estimated: (k,)
@@ -68,7 +67,7 @@ class SlowErrors:
     def used(self, blocks: Sequence[str]) -> "SlowErrors":
         """With those of these blocks that it has as the ones that were used last."""
         now = [block for block in blocks if block in self.columns]
-        if now == list(self.columns)[len(self.columns) - len(now) :]:
+        if now == [*self.columns][len(self.columns) - len(now) :]:
             return self
         others = {name: c for name, c in self.columns.items() if name not in now}
         columns = others | {block: self.columns[block] for block in now}

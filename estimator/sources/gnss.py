@@ -7,7 +7,7 @@ let GNSS velocity carry a position for 10 s within 0.14 m, and real receivers ar
 """
 
 import math
-from functools import cache
+from functools import cache, lru_cache
 from typing import Annotated, TypeAlias
 
 import msgspec
@@ -111,9 +111,9 @@ def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
 def velocity_aid(velocity: GnssVelocity, config: GnssConfig) -> Aid | Refusal:
     """A velocity over ground as a measurement."""
     v_n = np.array(velocity.v_n)
-    if not np.isfinite(v_n).all():
+    if not all(map(math.isfinite, velocity.v_n)):
         return Refusal(Reason.NOT_FINITE, "velocity")
-    if np.abs(v_n).max() > _FASTEST_M_S:
+    if max(map(abs, velocity.v_n)) > _FASTEST_M_S:
         return Refusal(Reason.IMPLAUSIBLE, f"faster than {_FASTEST_M_S:.0f} m/s: metres per second are expected")
     sigmas = (config.velocity_sigma_m_s,) * 3
     noise, is_assumed = with_default(_NOTHING if velocity.covariance_n is None else velocity.covariance_n, sigmas)
@@ -138,6 +138,7 @@ def velocity_aid(velocity: GnssVelocity, config: GnssConfig) -> Aid | Refusal:
     )
 
 
+@lru_cache(maxsize=64)
 def _slow(block: str, sigma: float, tau_s: float) -> tuple[SlowError, ...]:
     """Horizontally sigma, vertically twice that (satellites are above only); none where it is 0."""
     return (SlowError(block, np.diag([sigma**2, sigma**2, 4.0 * sigma**2]), tau_s),) if sigma else ()

@@ -134,8 +134,10 @@ def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
     given = given_components(covariance)
     if given.attitude is None or not given.widths:
         return Refusal(Reason.UNSUPPORTED, "attitude is given whole, as roll and pitch, as yaw, or not at all")
-    noise = (covariance if given.whole else covariance[np.ix_(given.rows, given.rows)]) * config.noise_scale**2
-    noise, is_assumed = with_default(noise, _default_sigmas(config.position_sigma_m, config.attitude_sigma_deg)[given.rows])
+    noise, sigmas = covariance, _default_sigmas(config.position_sigma_m, config.attitude_sigma_deg)
+    if not given.whole:
+        noise, sigmas = covariance[np.ix_(given.rows, given.rows)], sigmas[given.rows]
+    noise, is_assumed = with_default(noise * config.noise_scale**2, sigmas)
     if refusal := covariance_refusal(noise):
         return refusal
     pose = pose_of(fix, given)
@@ -168,6 +170,8 @@ def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
 
 def _is_forgotten(q: Quat, covariance: Array) -> bool:
     """An attitude without accuracy that is exactly that of a message nobody filled in: none, or along the axes of n or map."""
+    if covariance[_XYZ, _XYZ]:  # nearly every call
+        return False
     return not covariance[_XYZ:, _XYZ:].any() and any(math.dist(q, blank) < _ROUNDING for blank in _BLANK)
 
 
@@ -183,7 +187,7 @@ def pose_of(fix: PoseFix | LandmarkFix, given: Given) -> tuple[Array, Array] | R
     norm = _unit_pose(p_n, q, given.mask)
     if math.isnan(norm):
         return Refusal(Reason.NOT_FINITE, "pose")
-    if max(abs(p_n[0]), abs(p_n[1]), abs(p_n[2])) > FARTHEST_M:
+    if max(map(abs, p_n.tolist())) > FARTHEST_M:
         return Refusal(Reason.IMPLAUSIBLE, "more than 1000 km from the map's origin")
     if not math.isclose(norm, 1.0, abs_tol=1e-2):
         return Refusal(Reason.IMPLAUSIBLE, f"quaternion of length {norm:.3g}")
@@ -253,7 +257,6 @@ def _largest(errors: Array) -> Array:
     return largest
 
 
-@cache
 @lru_cache(maxsize=64)
 def _misaligned(topic: str, tilt_deg: float, mount_deg: float) -> tuple[SlowError, ...]:
     """The frame of the fixes is tilted about both horizontal axes, and their axes on the body are turned against the IMU's."""

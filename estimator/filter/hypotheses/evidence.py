@@ -23,7 +23,8 @@ class Evidence(NamedTuple):
     """Of one reading, by hypothesis: seen; passed: inside the gate; again: see above, None where the last reading was not false.
 
     doubted: weight of the heaviest one that goes on without the source deliberately, with this reading, -inf without any;
-    by_receiver: ln of the density of a velocity to those that take its receiver's positions for true, -inf without any.
+    by_receiver: ln of the density of a velocity to those that take its receiver's positions for true, -inf without any, or where
+    all do.
     """
 
     aid: Aid
@@ -36,6 +37,8 @@ class Evidence(NamedTuple):
 
 def weighed(members: list[Hypothesis], aid: Aid, seen: list[Innovation], passed: list[bool], again_s: float) -> Evidence:
     """The evidence of a reading; again_s: tau of a position that the leading hypothesis refuses."""
+    if not any(m.doubts for m in members):  # most of the time
+        return Evidence(aid, seen, passed, [None] * len(members), -math.inf, -math.inf)
     again = _again(members, aid, seen, passed, again_s)
     doubted = max(
         (
@@ -46,7 +49,8 @@ def weighed(members: list[Hypothesis], aid: Aid, seen: list[Innovation], passed:
         default=-math.inf,
     )
     # A receiver is right or wrong in both: where its positions are doubted, its velocities are no evidence.
-    by_receiver = _predicted(members, [j for j, m in enumerate(members) if aid.receiver not in m.doubts], seen)
+    follow = [j for j, m in enumerate(members) if aid.receiver not in m.doubts]
+    by_receiver = _predicted(members, follow, seen) if len(follow) < len(members) else -math.inf
     return Evidence(aid, seen, passed, again, doubted, by_receiver)
 
 

@@ -1,7 +1,9 @@
 """A filter with the logarithm of its weight, and what it takes for false."""
 
 import math
-from dataclasses import dataclass, field, replace
+
+import msgspec
+from msgspec.structs import replace
 
 from estimator.filter.eskf import Eskf
 from models import imu
@@ -19,16 +21,14 @@ _ENOUGH_S, _ENOUGH = 5.0, 11  # longer than both, it wins against any other one
 _PERIOD_S = 2.0  # between fixes, where it is not known
 
 
-@dataclass(slots=True)
-class Doubt:
+class Doubt(msgspec.Struct):
     """A hypothesis takes a source for false: since the fix at last_ns at least; deliberate: though the fix passed the gate."""
 
     last_ns: int
     deliberate: bool
 
 
-@dataclass(slots=True, eq=False)
-class Hypothesis:
+class Hypothesis(msgspec.Struct, eq=False):
     """One filter and the logarithm of its weight.
 
     fused_ns: when it last fused a position; run, run_ns: how many it has fused without a long break, and since when; parted_ns:
@@ -47,7 +47,7 @@ class Hypothesis:
     run: int = 0
     run_ns: int = 0
     parted_ns: int = 0
-    doubts: dict[str, Doubt] = field(default_factory=dict)
+    doubts: dict[str, Doubt] = {}
     benefit: float = 0.0
     without: str = ""
     least: float = -math.inf
@@ -60,7 +60,7 @@ class Hypothesis:
 
     def copy(self) -> "Hypothesis":
         """An independent hypothesis in the same state."""
-        doubts = {topic: Doubt(d.last_ns, d.deliberate) for topic, d in self.doubts.items()}
+        doubts = {topic: Doubt(d.last_ns, d.deliberate) for topic, d in self.doubts.items()} if self.doubts else {}
         return replace(self, filter=self.filter.copy(), doubts=doubts)
 
     @property

@@ -24,6 +24,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from msgspec.structs import replace
+from numba import njit
 
 from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.hypotheses import Hypothesis
@@ -43,6 +44,7 @@ _SIGMA_S = 0.1  # of tau, to begin with, where it is a state
 _PROBE_S = 1e-4  # s0: less than the motion of any vehicle shows
 _WALK = np.array([2e-3**2])  # s^2 / s
 _G_N = np.array([0.0, 0.0, GRAVITY])
+_AT_IMU = np.zeros(3)
 _COUNTS_M2 = 1e-3  # less is not worth the time of an estimate
 _XYZ = 3
 
@@ -70,7 +72,7 @@ class Delay(NamedTuple):
         if variance * math.hypot(*v_n.tolist()) ** 2 <= _COUNTS_M2:
             return None
         cov = np.zeros((E.SIZE, E.SIZE))
-        cov[E.P, E.P] = variance * np.outer(v_n, v_n)
+        cov[E.P, E.P] = variance * (v_n[:, None] * v_n)
         return cov
 
     def also(self, t_ns: int, seen: Innovation, column: int, gate: float = math.inf) -> "Delay":
@@ -83,12 +85,9 @@ class Delay(NamedTuple):
             return self
         is_new = not 0.0 <= (t_ns - self.since_ns) * 1e-9 < _ANEW_S
         sums = Delay(t_ns, before=(self.information, self.score)) if is_new else self
-        j = seen.hp[:, column] / _PROBE_S**2
-        low, weighed = seen.s.copy(), j.copy()
-        if not cholesky.factor(low, low):
+        information, score = _score(seen.nu, seen.s, seen.hp, column)
+        if math.isnan(information):
             return sums
-        cholesky.substitute(low, weighed)  # S^-1 j
-        information, score = float(weighed @ j), float(weighed @ seen.nu)
         total, scores = sums.information + information, sums.score + score
         if seen.distance2 > gate:
             tau = scores / total if total > 0.0 else 0.0  # at rest no reading shows a delay
@@ -192,12 +191,42 @@ def estimate(eskf: Eskf, topic: str, found: Delay) -> None:
 
 def jacobian(z: Measurement, x: Array, u: Array) -> Array:
     """J of all components of a measurement, (m,), 1/s; zero for what has no delay here."""
-    rotation, rate, force = so3.matrix(x[X.Q]), u[:_XYZ] - x[X.BG], u[_XYZ:] - x[X.BA]
-    if isinstance(z, Position):
-        return np.asarray(-(x[X.V] + rotation @ (so3.skew(rate) @ z.lever_b)))
-    if isinstance(z, Velocity):
-        return np.asarray(-(rotation @ force + _G_N))
     if isinstance(z, Pose | PartialPose):
-        moved = -np.concatenate((x[X.V], rotation @ rate))
-        return np.asarray(z.directions @ moved if isinstance(z, PartialPose) else moved)
+        by_pose = _jacobian(x, u, _AT_IMU)[: 2 * _XYZ]
+        return np.asarray(z.directions @ by_pose) if isinstance(z, PartialPose) else by_pose
+    if isinstance(z, Position):
+        return _jacobian(x, u, z.lever_b)[:_XYZ]
+    if isinstance(z, Velocity):
+        return _jacobian(x, u, _AT_IMU)[2 * _XYZ :]
     return np.zeros(len(z.rows))
+
+
+_XV, _XQ, _XG, _XA = X.V.start, X.Q.start, X.BG.start, X.BA.start  # compiled code reads plain integers
+
+
+@njit(cache=True, error_model="numpy")
+def _jacobian(x: Array, u: Array, lever: Array) -> Array:
+    """J (9,) of a position at lever_b, of the attitude and of the velocity."""
+    rotation, rate, force, j = so3.matrix(x[_XQ:_XG]), np.empty(3), np.empty(3), np.empty(9)
+    for i in range(3):
+        rate[i], force[i] = u[i] - x[_XG + i], u[3 + i] - x[_XA + i]
+    moved, turned, pushed = so3.applied(so3.skew(rate), lever), so3.applied(rotation, rate), so3.applied(rotation, force)
+    moved = so3.applied(rotation, moved)
+    for i in range(3):
+        j[i], j[3 + i], j[6 + i] = -(x[_XV + i] + moved[i]), -turned[i], -pushed[i]
+    j[8] -= GRAVITY
+    return j
+
+
+@njit(cache=True, error_model="numpy")
+def _score(nu: Array, s: Array, hp: Array, column: int) -> tuple[float, float]:
+    """J'^T S^-1 J' and J'^T S^-1 nu, J' (m,) from column tau of H P (m, n); nan where S is not positive definite."""
+    j, low, information, score = hp[:, column] / _PROBE_S**2, np.empty_like(s), 0.0, 0.0
+    weighed = j.copy()
+    if not cholesky.factor(s, low):
+        return np.nan, np.nan
+    cholesky.substitute(low, weighed)
+    for i in range(nu.shape[0]):
+        information += weighed[i] * j[i]
+        score += weighed[i] * nu[i]
+    return information, score

@@ -36,7 +36,7 @@ class Scatter(NamedTuple):
 
         variance_factor: f, which S contains: what it explains is no scatter.
         """
-        s = seen.s - variance_factor * (1.0 - 1.0 / self.factor) * seen.noise
+        s = seen.s if self.factor == 1.0 else seen.s - variance_factor * (1.0 - 1.0 / self.factor) * seen.noise
         seconds = (t_ns - self.t_ns) * 1e-9
         if self.last and (len(seen.nu) != len(self.last[-1][0]) or seconds > _APART_S):
             return Scatter(t_ns, ((seen.nu, s),))
@@ -44,8 +44,9 @@ class Scatter(NamedTuple):
         factor, ratios, last = faded if faded > _GONE else 1.0, self.ratios, (*self.last[-1:], (seen.nu, s))
         if len(self.last) == 2:
             (nu_2, s_2), (nu_1, s_1) = self.last
-            dof, is_far = len(seen.nu), mahalanobis(seen.nu, s)[0] > gate(_FAR, len(seen.nu))
-            ratios = (*ratios[1 - _WINDOW :], (mahalanobis(seen.nu - 2.0 * nu_1 + nu_2, s + 4.0 * s_1 + s_2)[0], is_far))
+            dof, distance2 = len(seen.nu), seen.distance2 if s is seen.s else mahalanobis(seen.nu, s)[0]
+            bend, _ = mahalanobis(seen.nu - 2.0 * nu_1 + nu_2, s + 4.0 * s_1 + s_2)
+            ratios = (*ratios[1 - _WINDOW :], (bend, distance2 > gate(_FAR, dof)))
             ordered = sorted(ratio for ratio, _ in ratios)
             many = 2 * sum(far for _, far in ratios) > _WINDOW
             if len(ratios) == _WINDOW and many and ordered[_RANK - 1] > gate(_USUAL, dof):

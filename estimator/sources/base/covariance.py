@@ -16,7 +16,7 @@ def with_default(cov: Array, sigmas: Sequence[float] | Array) -> tuple[Array, bo
     Nothing is known where the whole row and column are 0: half of the drivers say "unknown" so (ROS COVARIANCE_TYPE_UNKNOWN,
     ArduPilot's GPA, PX4's eph, MAVLink's h_acc of 0), and nobody measures without error.
     """
-    if cov.shape != (len(sigmas), len(sigmas)) or cov.diagonal().all():  # nearly every call
+    if cov.shape != (len(sigmas), len(sigmas)) or 0.0 not in cov.diagonal().tolist():  # nearly every call
         return cov, False
     unknown = ~(cov.any(axis=0) | cov.any(axis=1))
     return cov + np.diag(np.where(unknown, np.square(sigmas), 0.0)), bool(unknown.any())
