@@ -194,6 +194,7 @@ def assembled(
             daemon.take(Arrival(CHECKPOINT_TOPIC, schemas.CHECKPOINT, last.checkpoint, clock.now_ns()))
         if bus:
             _serve(bus, status, attachments)
+            bus.watch_domains(config.inputs.imu, console.say)
             bus.open_inputs(mailbox)
         if mavlink:
             mavlink.open_inputs(mailbox)

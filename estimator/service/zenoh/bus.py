@@ -3,6 +3,7 @@
 import contextlib
 import secrets
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -32,6 +33,7 @@ _DIAGNOSTICS: Final = "/diagnostics"  # ROS's topic for all DiagnosticArrays, by
 _FAST: Final = frozenset({"/landfix/odometry"})  # sent at once, not gathered into batches
 _GID_BYTES: Final = 16
 _KB, _MB = 1_000, 1_000_000
+_MOST_DOMAINS: Final = 10  # named
 _QUERIES: Final = "landfix/"  # of the queryables: landfix/status, landfix/config, ...
 
 
@@ -121,6 +123,26 @@ class ZenohBus:
         except zenoh.ZError as error:
             raise BusError(f"[zenoh]: cannot be opened: {first_sentence(error)}") from None
         self._senders = {topic: _Sender(self.session, config, topic, schema) for topic, schema in OUTPUTS.items()}
+
+    def watch_domains(self, topics: Sequence[str], say: Callable[[str], None]) -> None:
+        """Say once of each ROS domain that is not ours and has a publisher of one of the topics."""
+        if not self._config.rmw:
+            return
+        seen = {-1, ours := self._config.domain}
+        live = self.session.liveliness()
+
+        def notice(topic: str, token: str) -> None:
+            domain = keys.domain_of(token)
+            if domain not in seen and len(seen) < _MOST_DOMAINS:
+                seen.add(domain)
+                say(
+                    f"{topic} is published on ROS domain {domain}, landfix reads domain {ours}: set [zenoh] domain = {domain} "
+                    "if it is this vehicle's"
+                )
+
+        for topic in topics:
+            receive = partial(lambda topic, sample: notice(topic, str(sample.key_expr)), topic)
+            self._kept.append(live.declare_subscriber(keys.publisher_tokens(topic), receive, history=True))
 
     def open_inputs(self, inbox: Inbox) -> None:
         """Subscribe; from now on the inbox fills."""

@@ -9,6 +9,7 @@ from typing import Final
 
 _ATTACHMENT: Final = struct.Struct("<qqB16s")
 _GID_BYTES: Final = 16
+_DOMAIN_DIGITS: Final = 3
 _VOLATILE: Final = ":2:,10:,:,:,,"
 
 
@@ -47,6 +48,17 @@ def publisher_token(domain: int, zid: str, node: str, entity: int, topic: str, s
 def subscriber_token(domain: int, zid: str, node: str, entity: int, topic: str, schema: str, type_hash: str) -> str:
     """Liveliness token that makes a subscriber visible (`ros2 topic info`)."""
     return publisher_token(domain, zid, node, entity, topic, schema, type_hash).replace("/MP/", "/MS/", 1)
+
+
+def publisher_tokens(topic: str) -> str:
+    """Key expression of the tokens of all publishers of a topic, on any domain; domain_of() one of them."""
+    return f"@ros2_lv/*/*/*/*/MP/*/*/*/%{topic.strip('/').replace('/', '%')}/**"
+
+
+def domain_of(token: str) -> int:
+    """The domain of a publisher's token; -1 where it has none: any peer can declare one."""
+    domain = token.split("/")[1]
+    return int(domain) if domain.isdecimal() and len(domain) <= _DOMAIN_DIGITS else -1
 
 
 def bridge_token(zid: str, topic: str, schema: str, type_hash: str) -> str:

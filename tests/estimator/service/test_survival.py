@@ -8,11 +8,15 @@ import time
 from pathlib import Path
 
 import pytest
+import zenoh
 
 from benchmarks.service.vehicle import Vehicle
 from estimator.config import parse
 from estimator.service.log.recovery import FolderError, torn_logs
+from estimator.service.zenoh import keys
 from estimator.service.zenoh.bus import BusError
+from logs.wire import schemas
+from logs.wire.codec import type_hash
 from logs.wire.stamps import stamp_of
 from tests.estimator.service.flying import (
     as_process,
@@ -125,6 +129,10 @@ def test_reported_to_stop_it_stops_at_once_with_a_whole_log(tmp_path: Path, numb
     with as_process(text, tmp_path, port) as daemon:
         with client(port) as session:
             vehicle = fly(session, 3.0)
+            elsewhere = _publisher_on_domain(session, 7)
+            session.put(keys.rmw_key(0, "/gnss", schemas.NAV_SAT_FIX, type_hash(schemas.NAV_SAT_FIX)), b"torn")
+            until(lambda: "no IMU sample" in (tmp_path / "stderr.txt").read_text(), "it says that the IMU is silent")
+            elsewhere.undeclare()  # type: ignore[no-untyped-call]
         daemon.send_signal(number)
         assert daemon.wait(120) == 0
     assert torn_logs(tmp_path / "logs") == []
@@ -135,8 +143,20 @@ def test_reported_to_stop_it_stops_at_once_with_a_whole_log(tmp_path: Path, numb
     assert f"tcp/127.0.0.1:{port}" in said["Zenoh"]
     assert said["waiting for"] == "IMU samples on /imu"
     assert said["first estimate"] == "published"
-    assert said["mode"].startswith("aided, 95 % radius ")
+    assert any(line.startswith("landfix: mode: aided, 95 % radius ") for line in lines)
+    assert said["/imu is published on ROS domain 7, landfix reads domain 0"].startswith("set [zenoh] domain = 7")
+    assert said["no IMU sample for 3 s"].startswith("is the topic of [inputs] imu sent")
+    assert said["malformed message on /gnss"]
+    assert said["malformed messages on /gnss"] == "1"
     assert lines[-1] == f"landfix: log complete: {log}, {log.stat().st_size / 1e6:.1f} MB"
+
+
+def _publisher_on_domain(session: zenoh.Session, domain: int) -> zenoh.LivelinessToken:
+    """As rmw_zenoh announces it."""
+    hashed = type_hash(schemas.IMU)
+    return session.liveliness().declare_token(
+        keys.publisher_token(domain, str(session.zid()), "imu_driver", 9, "/imu", schemas.IMU, hashed)
+    )
 
 
 def test_quiet_it_prints_nothing(tmp_path: Path) -> None:
