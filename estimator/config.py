@@ -23,10 +23,9 @@ from estimator.service.log.writer import LogConfig
 from estimator.service.mavlink.config import MavlinkConfig
 from estimator.service.zenoh.config import ZenohConfig
 from estimator.sources.aids import SourcesConfig
-from estimator.sources.imu.choice import ImusConfig
 from estimator.strict_toml import ConfigError
 from logs.wire.codec import Decoder, ImuMounting, Topics
-from models.imu import Coast, ImuNoise
+from models.imu import ImuNoise
 from models.untrusted import toml_text
 from models.untrusted.file import opened
 
@@ -67,7 +66,7 @@ _WILD = re.compile(r"[*?#$]|\s")
 class Inputs(Topics, frozen=True, forbid_unknown_fields=True):
     """[inputs]: which topics are read, one or a list each; of equal kind, each topic is a source of its own."""
 
-    imu: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/Imu; the first leads, see [imus]")] = _TOPICS.imu
+    imu: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/Imu; the first leads")] = _TOPICS.imu
     gnss: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/NavSatFix")] = _TOPICS.gnss
     gnss_velocity: Annotated[_Topics, Meta(description="topics of geometry_msgs/msg/TwistWithCovarianceStamped, ENU")] = (
         _TOPICS.gnss_velocity
@@ -134,7 +133,6 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """All sections."""
 
     imu: Imu = Imu()
-    imus: ImusConfig = ImusConfig()
     inputs: Inputs = Inputs()
     map: Map = Map()
     rig: Rig = Rig()
@@ -145,7 +143,6 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     bounds: BoundsConfig = BoundsConfig()
     integrity: IntegrityConfig = IntegrityConfig()
     initialise: InitialiseConfig = InitialiseConfig()
-    coast: Coast = Coast()
     service: ServiceConfig = ServiceConfig()
     clock: ClockConfig = ClockConfig()
     log: LogConfig = LogConfig()
@@ -158,13 +155,11 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         """What the estimator needs."""
         return FusionConfig(
             imu=self.imu,
-            coast=self.coast,
             **self.sources(),
             initialise=self.initialise,
             estimator=self.estimator,
             bounds=self.bounds,
             integrity=self.integrity,
-            imus=self.imus,
             imu_topics=self.inputs.imu,
             imu_factors=self.imu.others_noise,
             origin=self.map.origin,

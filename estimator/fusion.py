@@ -5,7 +5,7 @@ Daemon, replay, simulation and tests use this same object.
 
 import math
 from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, Final
 
 import msgspec
 import numpy as np
@@ -21,12 +21,14 @@ from estimator.filter.tracker import Tracker
 from estimator.integrity.config import IntegrityConfig
 from estimator.integrity.monitor import Monitor
 from estimator.sources.aids import aid_of
+from estimator.sources.air.drag import EVERY_NS as DRAG_EVERY_NS
 from estimator.sources.air.drag import drag_aid
 from estimator.sources.air.wind import WIND
 from estimator.sources.base.aid import Aid, Refusal
 from estimator.sources.base.held import HeldImu
-from estimator.sources.imu.choice import Choice, ImusConfig, imu_aid
+from estimator.sources.imu.choice import Choice, imu_aid
 from estimator.sources.imu.plausibility import sample_refusal
+from estimator.sources.rest import EVERY_NS as REST_EVERY_NS
 from estimator.sources.rest import rest_aid
 from models import so3, state
 from models.frames import Origin
@@ -52,6 +54,8 @@ from models.state import E, X
 
 _OUT_OF_SYNC_SAMPLES, _OUT_OF_SYNC_NS = 20, 1_000_000_000  # of IMU stamps that are off, before they are taken for the new clock
 _FAILURES = 2  # in a row, after which the estimator restarts itself
+_FUTURE_NS: Final = 1_000_000_000  # by which a stamp may run ahead of its stream's clock
+_RESET_SIGMA: Final = 5.0  # a larger jump is reported as a reset
 _RADIUS95 = 2.4477468  # sqrt of the 95 % point of chi-square with 2 degrees of freedom
 
 
@@ -59,16 +63,7 @@ class EstimatorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[estimator]: how far back it looks, and how it speaks."""
 
     history_s: Annotated[float, Meta(ge=0.01, le=60, description="s: measurements may be late by this much")] = 6.0
-    dead_reckoning_after_s: Annotated[
-        float, Meta(ge=1e-3, le=1e6, description="s: without an absolute position the mode is dead_reckoning")
-    ] = 3.0
     health_hz: Annotated[float, Meta(ge=0.01, le=10, description="Hz: rate of /landfix/health")] = 2.0
-    future_s: Annotated[
-        float, Meta(ge=1e-3, le=3600, description="s: a stamp may run ahead of its stream's clock by this much")
-    ] = 1.0
-    reset_sigma: Annotated[
-        float, Meta(ge=1e-3, le=1e6, description="a jump larger than this many standard deviations is reported as a reset")
-    ] = 5.0
 
 
 class FusionConfig(FilterConfig, frozen=True, kw_only=True):
@@ -77,7 +72,6 @@ class FusionConfig(FilterConfig, frozen=True, kw_only=True):
     estimator: EstimatorConfig = EstimatorConfig()
     bounds: BoundsConfig = BoundsConfig()
     integrity: IntegrityConfig = IntegrityConfig()
-    imus: ImusConfig = ImusConfig()
     imu_topics: tuple[str, ...] = ()
     imu_factors: tuple[float, ...] = ()  # noise of the others, in that of the first
 
@@ -89,7 +83,7 @@ class Fusion:
         self._config = config
         self._history = self._begin()
         self._questions = self._asked()
-        self._imus = Choice(config.imus, config.imu_topics)
+        self._imus = Choice(config.imu_topics)
         self._held = HeldImu()
         self._counts: dict[str, int] = {}
         self._integrity = Monitor(config.integrity)
@@ -97,10 +91,9 @@ class Fusion:
         self._assumed: dict[str, str] = {}  # topic -> what was taken in place of what it does not give
         self._health_period_ns = round(1e9 / config.estimator.health_hz)
         self._next_health_ns: int | None = None
-        self._future_ns = round(config.estimator.future_s * 1e9)
         self._out_of_sync: tuple[int, int, int] | None = None  # count, first arrival, last stamp of samples off our clock
         self._gap_ns = round(config.coast.gap_s * 1e9)
-        self._early_ns = round(min(config.coast.gap_s, config.estimator.future_s) * 1e9)
+        self._early_ns = min(self._gap_ns, _FUTURE_NS)
         self._early: dict[str, ImuSample] = {}  # by topic: further ahead than a gap, until a second one is as well
         self._lead: tuple[int, int] | None = None  # stamps of IMU and ticks ahead of their arrivals, and as of when
         self._failures = 0  # in a row, of what moves the state
@@ -159,7 +152,6 @@ class Fusion:
                 coast=config.coast,
                 initialise=config.initialise,
                 origin=Origin.of(config.origin),
-                dead_reckoning_after_s=config.estimator.dead_reckoning_after_s,
                 bounds=config.bounds,
                 rest=config.rest,
                 drag=config.drag,
@@ -174,9 +166,9 @@ class Fusion:
         rest, drag, wind = self._config.rest, self._config.drag, self._config.wind
         asked: list[tuple[int, Callable[[int], Aid]]] = []
         if rest.enabled:
-            asked.append((round(rest.every_s * 1e9), rest_aid))
+            asked.append((REST_EVERY_NS, rest_aid))
         if drag.enabled:
-            asked.append((round(drag.every_s * 1e9), lambda t_ns: drag_aid(t_ns, wind)))
+            asked.append((DRAG_EVERY_NS, lambda t_ns: drag_aid(t_ns, wind)))
         return asked
 
     # --- inputs ---------------------------------------------------------------------------------------------------------
@@ -337,9 +329,9 @@ class Fusion:
         self._lead = lead_ns, message.arrived_ns
 
     def _future(self, message: Input) -> Refusal | None:
-        """A stamp that runs ahead of the stamps' clock, as estimated from arrivals, by more than future_s."""
+        """A stamp that runs ahead of the stamps' clock, as estimated from arrivals, by more than 1 s."""
         ahead_ns = self._ahead_ns(message)
-        return Refusal(Reason.IN_FUTURE, f"{ahead_ns * 1e-9:.1f} s ahead") if ahead_ns > self._future_ns else None
+        return Refusal(Reason.IN_FUTURE, f"{ahead_ns * 1e-9:.1f} s ahead") if ahead_ns > _FUTURE_NS else None
 
     def _ahead_ns(self, message: Input) -> int:
         """By how much a stamp runs ahead of the stamps' clock; 0 where that is not known yet."""
@@ -406,14 +398,14 @@ class Fusion:
         old = Eskf(last.t_ns, last.nav.copy(), last.covariance.copy(), lead.constants)
         old.propagate(samples, samples.first_after(last.t_ns), t_ns)
         delta = state.local(old.x, lead.x)
-        return delta if state.has_moved(delta, doubt, self._config.estimator.reset_sigma) else None
+        return delta if state.has_moved(delta, doubt, _RESET_SIGMA) else None
 
     def _clock_stepped(self, sample: ImuSample, refusal: Refusal) -> list[Output]:
         """An IMU whose stamps are all off our clock, but in step among themselves for a second, has a new clock: begin again."""
         if refusal.reason not in {Reason.IN_FUTURE, Reason.TOO_OLD}:
             return []
         count, since_ns, last_ns = self._out_of_sync or (0, sample.arrived_ns, sample.t_ns)
-        if not 0 <= sample.t_ns - last_ns < self._future_ns:
+        if not 0 <= sample.t_ns - last_ns < _FUTURE_NS:
             count, since_ns = 0, sample.arrived_ns
         self._out_of_sync = (count + 1, since_ns, sample.t_ns)
         if count < _OUT_OF_SYNC_SAMPLES or sample.arrived_ns - since_ns < _OUT_OF_SYNC_NS:

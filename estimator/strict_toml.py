@@ -134,7 +134,7 @@ def _shown(value: Any) -> str:
     return toml_text.one_line(text, 80)
 
 
-_REMOVED = {
+_REMOVED = {  # key, section.key or .section: what to do
     "fault_s": "leave it out: estimator/sources/base/faults.py has the durations of faults",
     "reset_after_s": "leave it out: consistent fixes win when they are more than those that they contradict",
     "cusum_slack": "leave it out: 1 sigma is tolerated",
@@ -144,16 +144,35 @@ _REMOVED = {
         "leave it out: estimator/sources/base/rules.py has how each source is judged",
     ),
     "stuck_s": "leave it out: a reading that is equal to the bit in motion is never used",
+    "lasting_deg": "leave it out: what lasts of a rotation is not modelled",
+    **{
+        key: f"leave it out: it is a constant of estimator/{file}"
+        for file, keys in {
+            "sources/imu/choice.py": ".imus",
+            "filter/alignment/initialise.py": "level_s still_accel still_rate level_moving_deg",
+            "filter/alignment/core.py": "dead_reckoning_after_s",
+            "sources/rest.py": "rest.every_s rest.after_s rest.gyro rest.accel rest.known_m_s rest.rate_sigma",
+            "sources/air/drag.py": "drag.every_s drag.tilt_deg",
+            "sources/air/airspeed.py": "sideslip_s",
+            "sources/range.py": "sigma_share steepest_deg",
+            "fusion.py": "future_s reset_sigma",
+            "frontend/repeat.py": "replay_latency_ms",
+            "service/base/clock.py": "ahead_s",
+            "service/daemon.py": "tick_hz",
+        }.items()
+        for key in keys.split()
+    },
+    ".coast": "leave it out: models/imu.py has how a gap of the IMU is bridged",
 }
 
 
 def _unknown(key: str, known: list[str], path: str) -> str:
     key = toml_text.one_line(key, 80)
-    if key in _REMOVED and path:
-        return f"key '{key}' in [{path}] was removed: {_REMOVED[key]}"
+    where, what = (f"key '{key}' in [{path}]", f"keys of [{path}]") if path else (f"section [{key}]", "sections")
+    if advice := _REMOVED.get(f"{path}.{key}") or (path and _REMOVED.get(key)):
+        return f"{where} was removed: {advice}"
     near = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
     hint = f"; did you mean '{near[0]}'?" if near else ";"
-    where, what = (f"key '{key}' in [{path}]", f"keys of [{path}]") if path else (f"section [{key}]", "sections")
     return f"unknown {where}{hint} {what}: {', '.join(known)}"
 
 

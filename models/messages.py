@@ -266,7 +266,7 @@ class Mode(StrEnum):
     ALIGNING = "aligning"  # IMU is there; position, velocity or heading are not yet known
     ALIGNING_HEADING = "aligning_heading"  # position, velocity and tilt are published, the heading is not known
     AIDED = "aided"  # an absolute source was fused within its timeout
-    ODOMETRY = "odometry"  # no absolute source, but odometry was fused within dead_reckoning_after_s
+    ODOMETRY = "odometry"  # no absolute source, but odometry was fused within 3 s
     DEAD_RECKONING = "dead_reckoning"  # IMU alone
     COASTING = "coasting"  # not even an IMU: constant velocity and turn rate
 

@@ -123,8 +123,7 @@ def outages(flight: Flight, variant: str, every_s: float) -> Iterator[End]:
     fault, _ = FAULTS[variant]
     tracker = Tracker(
         TrackerConfig(
-            imu=CONFIG.imu, coast=CONFIG.coast, initialise=CONFIG.initialise, origin=None,
-            dead_reckoning_after_s=CONFIG.estimator.dead_reckoning_after_s, bounds=CONFIG.bounds,
+            imu=CONFIG.imu, coast=CONFIG.coast, initialise=CONFIG.initialise, origin=None, bounds=CONFIG.bounds,
         )
     )  # fmt: skip
     begin_ns, end_ns = int(flight.samples.t_ns[0]), int(min(flight.truth_ns[-1], flight.samples.newest_ns))

@@ -9,7 +9,7 @@ from estimator.sources import rest
 from estimator.sources.air import drag
 from estimator.sources.base import held
 from estimator.sources.base.aid import Aid, Refusal
-from estimator.sources.rest import Rest, RestConfig
+from estimator.sources.rest import Rest
 from models import so3
 from models.measurements import Measurement
 from models.messages import Reason
@@ -18,7 +18,6 @@ from models.state import X
 FELT = frozenset({rest.TOPIC, drag.TOPIC})  # kinds of aids that ask the IMU
 _MOVES = 2  # velocities, seconds apart, that are not zero: what looks at rest goes on so
 _NO_RATE = np.zeros(3)
-_ON_THE_GROUND = RestConfig()
 
 
 class ImuEvidence:
@@ -44,11 +43,11 @@ class ImuEvidence:
         if aid.kind == rest.TOPIC:
             return aid, self._rest(samples)
         config = core.config.drag
-        second, begin = core.recent(samples), samples.first_after(core.t_ns - round(config.every_s * 1e9))
+        second, begin = core.recent(samples), samples.first_after(core.t_ns - drag.EVERY_NS)
         u = samples.u[begin : samples.first_after(core.t_ns)]
         if second is None or not len(u) or not core.is_aligned:
             return aid, Refusal(Reason.THINNED, NO_POSITION)
-        if rest.is_quiet(second, _ON_THE_GROUND):
+        if rest.is_quiet(second):
             return aid, Refusal(Reason.THINNED, "at rest")
         return drag.felt(aid, u, config)
 
@@ -56,7 +55,7 @@ class ImuEvidence:
         """The vehicle at rest, as the last second of the IMU shows it and the estimate confirms."""
         core = self.core
         rules, u = core.config.rest, core.recent(samples)
-        if u is None or not core.is_aligned or core.hypotheses is None or not rest.is_quiet(u, rules):
+        if u is None or not core.is_aligned or core.hypotheses is None or not rest.is_quiet(u):
             if self.since is not None and core.is_aligned and core.hypotheses is not None:
                 core.hypotheses.forget(rest.BLOCK)
                 core.stretch = Stretch.of(core.hypotheses.lead)
@@ -66,7 +65,7 @@ class ImuEvidence:
         if self.since is None:
             self.since = core.t_ns, so3.to_euler(lead.x[X.Q])[2]
         since_ns, azimuth = self.since
-        if core.t_ns - since_ns < rules.after_s * 1e9:
+        if core.t_ns - since_ns < rest.AFTER_NS:
             return Refusal(Reason.THINNED, "at rest for a moment")
         why = rest.objection(lead.x, lead.cov, rules)
         if why or self.refuted >= _MOVES:
@@ -91,4 +90,4 @@ class ImuEvidence:
         if second is None:
             return False
         bank = core.hypotheses if core.is_aligned else None
-        return not rest.is_quiet(second, _ON_THE_GROUND) or (bank is not None and held.moves(bank.lead.x, bank.lead.cov))
+        return not rest.is_quiet(second) or (bank is not None and held.moves(bank.lead.x, bank.lead.cov))

@@ -1,5 +1,5 @@
 """A replay from images, for landmarks and odometry alike: logged requests are repeated, bit for bit; a log without them gets
-its own, from the replay's estimate, with answers replay_latency_ms later.
+its own, from the replay's estimate, with answers 50 ms later.
 """
 
 from abc import ABC, abstractmethod
@@ -16,6 +16,7 @@ from logs.wire.stamps import stamp_of
 from models.messages import ImageName, Output
 
 _KEPT: Final = 400  # images
+_LATENCY_NS: Final = 50_000_000  # of an answer to images that were never processed in flight
 
 
 class Asked(NamedTuple):
@@ -40,7 +41,7 @@ class Repeat(ABC):
         source: Path | Sequence[Path],
         request_topic: str,
     ) -> None:
-        self._latency_ns, self._time_offset_ns = round(config.replay_latency_ms * 1e6), time_offset_ns
+        self._time_offset_ns = time_offset_ns
         self._side = {**dict.fromkeys(topics[0], "left"), **dict.fromkeys(topics[1], "right")}
         self._request_topic = request_topic
         with PartsReader(source) as reader:
@@ -98,7 +99,7 @@ class Repeat(ABC):
         for pair in self._pairing.put(self._side[record.topic], shot):
             if asked := self._ask(pair, record.log_time_ns):
                 yield Record(asked.request.topic, asked.request.schema, record.log_time_ns, asked.request.data)
-                self._due.append((record.log_time_ns + self._latency_ns, asked.answers))
+                self._due.append((record.log_time_ns + _LATENCY_NS, asked.answers))
 
     def _pair(self, left: ImageName | None, right: ImageName | None) -> Pair | None:
         """The images of these names; None where one is not in the log."""

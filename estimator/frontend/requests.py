@@ -30,10 +30,6 @@ class VisionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     patience_ms: Annotated[
         float, Meta(ge=0, le=1000, description="ms: how long one image waits for the other, then it goes alone")
     ] = 100.0
-    replay_latency_ms: Annotated[
-        float,
-        Meta(ge=0, le=60_000, description="ms: how late fixes come in a replay of images that were never processed in flight"),
-    ] = 50.0
     timeout_s: Annotated[
         float, Meta(ge=0.01, le=3600, description="s: vision that does not answer for so long is started anew")
     ] = 2.0

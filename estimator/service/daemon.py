@@ -26,12 +26,12 @@ REFUSED_PREFIX: Final = "/landfix/refused"  # of the topics of messages whose st
 _GRACE_S: Final = 0.1  # to read what has piled up meanwhile
 _PATIENCE_NS: Final = SECOND_NS  # without an estimate by the IMU: the tick then no longer waits for the messages before it
 _NEVER: Final = 2**63
+_TICK_NS: Final = SECOND_NS // 20  # between two looks whether the IMU is silent
 
 
 class ServiceConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[service]: the daemon's life."""
 
-    tick_hz: Annotated[float, Meta(ge=1, le=100, description="Hz: how often a silent IMU is noticed")] = 20.0
     state_file: Annotated[
         str, Meta(description="where the last state is kept for a restart; relative to [log] folder; '': not")
     ] = "landfix.state"
@@ -54,7 +54,6 @@ class Daemon:
         clock: Clock,
         status: Status,
         track: Track,
-        tick_hz: float,
         alive: Callable[[], None],
         watchers: Sequence[Callable[[Output], None]],
     ) -> None:
@@ -62,7 +61,6 @@ class Daemon:
         self.mailbox, self._outboxes, self._log = mailbox, outboxes, log
         self._stamps, self._clock, self._status, self._alive, self._watchers = stamps, clock, status, alive, watchers
         self._track = track
-        self._tick_ns = round(SECOND_NS / tick_hz)
         self._stopping = False
         self._patient_ns = _NEVER  # until then a tick waits for all messages before it; set by the first estimate
 
@@ -73,7 +71,7 @@ class Daemon:
 
     def run(self) -> None:
         """Until stop()."""
-        next_tick_ns = self._clock.now_ns() + self._tick_ns
+        next_tick_ns = self._clock.now_ns() + _TICK_NS
         while not self._stopping:
             wait_ns = next_tick_ns - self._clock.now_ns()
             if wait_ns > 0:
@@ -86,7 +84,7 @@ class Daemon:
                 self._patient_ns = max(self._patient_ns, next_tick_ns + _PATIENCE_NS)
                 continue
             self._survive(self._tick)
-            next_tick_ns += self._tick_ns
+            next_tick_ns += _TICK_NS
 
     def _survive(self, step: Callable[..., None], *given: Arrival) -> None:
         """A defect of ours costs one message, is counted and reported once a second, and does not end the flight."""

@@ -186,7 +186,6 @@ def assembled(
             clock=clock,
             status=status,
             track=track,
-            tick_hz=config.service.tick_hz,
             alive=alive,
             watchers=[console.note, *([keeper.note] if keeper else [])],
         )

@@ -69,7 +69,6 @@ class OdometryConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.03
     noise_scale: Annotated[float, Meta(ge=1e-3, le=1000, description="factor on the standard deviations in an increment")] = 1.0
     lasting_share: Annotated[float, Meta(ge=0, le=1, description="error that lasts, as a share of the length; 0: none")] = 0.008
-    lasting_deg: Annotated[float, Meta(ge=0, le=90, description="deg: error of a rotation that lasts; 0: none")] = 0.0
     lasting_s: Annotated[float, Meta(ge=1e-3, le=1e6, description="s: for so long it lasts")] = 5.0
     scale_sigma: Annotated[
         float, Meta(ge=0, le=1, description="of the scale, which is estimated; 0: it is right (increments may bring their own)")
@@ -236,9 +235,9 @@ def _sigmas(config: OdometryConfig, length_m: float) -> Array:
 
 def _lasting(topic: str, dp: Array, config: OdometryConfig) -> tuple[SlowError, ...]:
     """The considered error, of variance 1 in each axis."""
-    moved = np.repeat((config.lasting_share * float(np.linalg.norm(dp)), math.radians(config.lasting_deg)), _XYZ)
-    if not (config.lasting_share or config.lasting_deg):
+    if not config.lasting_share:
         return ()
+    moved = np.repeat((config.lasting_share * float(np.linalg.norm(dp)), 0.0), _XYZ)
     return (SlowError(f"{topic}.lasting", np.eye(_SIX), config.lasting_s, np.diag(moved)),)
 
 

@@ -8,7 +8,7 @@ ground_m gives it, the range is that above it.
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, TypeAlias
+from typing import Annotated, Final, TypeAlias
 
 import numpy as np
 from msgspec import Meta
@@ -24,6 +24,8 @@ from models.state import E, X
 _FIRST = np.arange(1)
 _DOWN_B = np.array([0.0, 0.0, 1.0])
 _FALSE_HEIGHT_M = 50.0
+_SIGMA_SHARE: Final = 0.01  # of the range, added
+_STEEPEST: Final = math.radians(30.0)  # tilt beyond which it is not used
 _Height: TypeAlias = Annotated[float, Meta(ge=-1e4, le=1e5)]
 
 
@@ -62,17 +64,15 @@ class RangeConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
         Meta(description="m: height of the flat ground above the origin; none: that of the first reading, drifting"),
     ] = None
     sigma_m: Annotated[float, Meta(ge=1e-3, le=100, description="m: of a reading, the ground's roughness included")] = 0.2
-    sigma_share: Annotated[float, Meta(ge=0, le=1, description="ratio: of the range, added")] = 0.01
     terrain_m_sqrt_s: Annotated[float, Meta(ge=1e-6, le=1000, description="m/sqrt(s): by which the ground rises and falls")] = 0.5
-    steepest_deg: Annotated[float, Meta(ge=0, le=89, description="deg: tilt beyond which it is not used")] = 30.0
 
     def aid(self, reading: Reading) -> Aid | Refusal:
         """A range [m] as a measurement of height."""
         z_m = reading.values[0]
         if z_m <= 0.0:
             return Refusal(Reason.IMPLAUSIBLE, f"a range of {z_m:.3g} m")
-        noise = np.array([[self.sigma_m**2 + (self.sigma_share * z_m) ** 2]])
-        z = RangeDown(z_m, self.ground_m or 0.0, noise, math.radians(self.steepest_deg))
+        noise = np.array([[self.sigma_m**2 + (_SIGMA_SHARE * z_m) ** 2]])
+        z = RangeDown(z_m, self.ground_m or 0.0, noise, _STEEPEST)
         walk = np.array([self.terrain_m_sqrt_s**2])
         ground = SlowError(f"{reading.topic}.ground", np.zeros((1, 1)), math.inf, np.ones((1, 1)), walk)
         return Aid(

@@ -1,6 +1,6 @@
 """Rest: zero velocity, zero rotation, and the heading as it was when the rest began.
 
-The IMU finds it: for after_s neither rate nor specific force has wandered. The estimate confirms it: its velocity has to be
+The IMU finds it: for 3 s neither rate nor specific force has wandered. The estimate confirms it: its velocity has to be
 known, and zero within the gate, or a car on a smooth road, an aircraft in calm air or a ship would stand still. At rest
 
     0 = v + n_v,   w_mean = b_g + R_nb^T w_ie + n_w,   0 = psi - psi_0 + n_psi
@@ -10,7 +10,7 @@ psi_0, the heading when the rest began, is estimated like the zero of a baromete
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Final
 
 import msgspec
 import numpy as np
@@ -30,25 +30,18 @@ _ROWS = np.arange(7)
 _HEADING, _VELOCITY, _RATE = slice(0, 1), slice(1, 4), slice(4, 7)
 _ZERO = 0.95  # share of velocities at rest that are taken for zero
 _WALK = 1e-12  # rad^2/s: of a heading that stays
+EVERY_NS: Final = 1_000_000_000
+AFTER_NS: Final = 3_000_000_000  # of rest, before the first update
+_GYRO, _ACCEL = 0.01, 0.1  # rad/s, m/s^2: deviation over a second below which it may be at rest
+_KNOWN_M_S = 0.2  # sigma of the estimated velocity above which nothing confirms a rest
+_RATE_SIGMA = 3e-4  # rad/s: of a vehicle at rest, mean of a second
 
 
 class RestConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[rest]: zero-velocity and zero-rotation updates; for what stands on the ground, not what hovers or floats."""
 
     enabled: Annotated[bool, Meta(description="whether a vehicle that the IMU shows at rest is taken to be at rest")] = False
-    every_s: Annotated[float, Meta(ge=0.1, le=60, description="s: between two updates")] = 1.0
-    after_s: Annotated[float, Meta(ge=0.1, le=3600, description="s: of rest before the first update")] = 3.0
-    gyro: Annotated[float, Meta(ge=1e-6, le=10, description="rad/s: deviation over a second below which it may be at rest")] = (
-        0.01
-    )
-    accel: Annotated[float, Meta(ge=1e-6, le=100, description="m/s^2: deviation over a second below which it may be at rest")] = (
-        0.1
-    )
-    known_m_s: Annotated[
-        float, Meta(ge=1e-3, le=100, description="m/s: velocity sigma of the estimate above which nothing confirms a rest")
-    ] = 0.2
     velocity_sigma_m_s: Annotated[float, Meta(ge=1e-4, le=10, description="m/s: of a vehicle at rest")] = 0.05
-    rate_sigma: Annotated[float, Meta(ge=1e-6, le=1, description="rad/s: of a vehicle at rest, mean of a second")] = 3e-4
     heading_sigma_deg: Annotated[float, Meta(ge=1e-3, le=10, description="deg: by which its heading may have moved")] = 0.1
 
 
@@ -82,15 +75,15 @@ def rest_aid(t_ns: int) -> Aid:
     return asked(t_ns, TOPIC, [math.pi] + [10.0] * 3 + [1.0] * 3, (heading,))
 
 
-def is_quiet(u: Array, config: RestConfig) -> bool:
+def is_quiet(u: Array) -> bool:
     """Whether samples u (k, 6), gyro then accel, of a second are those of a vehicle at rest."""
     deviation = u.std(axis=0)
-    return bool(deviation[:3].max() < config.gyro and deviation[3:].max() < config.accel)
+    return bool(deviation[:3].max() < _GYRO and deviation[3:].max() < _ACCEL)
 
 
 def at_rest(u: Array, azimuth: float, earth_n: Array, config: RestConfig) -> Rest:
     """The measurement in samples u (k, 6)."""
-    sigmas = [math.radians(config.heading_sigma_deg)] + [config.velocity_sigma_m_s] * 3 + [config.rate_sigma] * 3
+    sigmas = [math.radians(config.heading_sigma_deg)] + [config.velocity_sigma_m_s] * 3 + [_RATE_SIGMA] * 3
     return Rest(azimuth, u[:, :3].mean(axis=0), earth_n, np.diag(np.square(sigmas)))
 
 
@@ -99,7 +92,7 @@ def objection(x: Array, cov: Array, config: RestConfig) -> str:
 
     The gate of all seven components would let pass 0.3 m/s at a sigma of 0.07.
     """
-    if cov.diagonal()[E.V].max() >= config.known_m_s**2:
+    if cov.diagonal()[E.V].max() >= _KNOWN_M_S**2:
         return "looks at rest, but the velocity is not known well enough to confirm it"
     v = x[X.V]
     s = cov[E.V, E.V] + config.velocity_sigma_m_s**2 * np.eye(3)

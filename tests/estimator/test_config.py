@@ -78,6 +78,15 @@ def test_everything_survives_writing_and_reading() -> None:
     ("text", "expected"),
     [
         ('[imu]\naxis = "flu"\n', "v.toml: unknown key 'axis' in [imu]; did you mean 'axes'?"),
+        (
+            "[imus]\nsilent_s = 1\n",
+            "v.toml: section [imus] was removed: leave it out: it is a constant of estimator/sources/imu/choice.py",
+        ),
+        (
+            "[rest]\ngyro = 1\n",
+            "v.toml: key 'gyro' in [rest] was removed: leave it out: it is a constant of estimator/sources/rest.py",
+        ),
+        ("[imu]\ngyro = 1\n", "v.toml: unknown key 'gyro' in [imu]; did you mean 'gyro_walk'?"),
         ("[innputs]\n", "v.toml: unknown section [innputs]; did you mean 'inputs'? sections: gnss, pose_fix, landmark_fix, "),
         ('[imu]\naxes = "ned"\n', 'v.toml: imu.axes = "ned": must be one of '),
         ("[imu]\ngyro_noise = -1\n", "v.toml: imu.gyro_noise = -1: expected float >= 1e-09"),

@@ -1,9 +1,6 @@
 """What filter, smoother and tracker are configured with."""
 
-from typing import Annotated
-
 import msgspec
-from msgspec import Meta
 
 from estimator.filter.alignment.initialise import InitialiseConfig
 from estimator.filter.bounds import BoundsConfig
@@ -30,7 +27,6 @@ class TrackerConfig(msgspec.Struct, frozen=True, kw_only=True):
     coast: Coast
     initialise: InitialiseConfig
     origin: Origin | None
-    dead_reckoning_after_s: Annotated[float, Meta(gt=0)] = 3.0
     bounds: BoundsConfig = BoundsConfig()
     rest: RestConfig = RestConfig()
     drag: DragConfig = DragConfig()

@@ -1,10 +1,11 @@
 """What alignment and tracker share: the filters, what they run on, and what is known of sources of positions."""
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from estimator.filter.alignment.config import TrackerConfig
+from estimator.filter.alignment.initialise import LEVEL_NS
 from estimator.filter.conflict import Conflicts
 from estimator.filter.eskf import Innovation
 from estimator.filter.hypotheses import Hypotheses
@@ -18,6 +19,7 @@ from models.messages import Array, Reason
 NEVER = -(2**62)
 FEWEST_SAMPLES = 5  # of IMU, to level with
 _NO_IMU = np.zeros(6)
+_AIDED_NS: Final = 3_000_000_000  # after a position; then the mode is dead_reckoning
 
 
 class Decision(NamedTuple):
@@ -39,7 +41,7 @@ class Core:
 
     def __init__(self, config: TrackerConfig) -> None:
         self.config = config
-        self.aided_ns = round(config.dead_reckoning_after_s * 1e9)
+        self.aided_ns = _AIDED_NS
         self.gap_ns = round(config.coast.gap_s * 1e9)
         self.t_ns = NEVER
         self.origin = config.origin
@@ -66,8 +68,8 @@ class Core:
         return self.t_ns - self.last_absolute_ns <= self.aided_ns
 
     def recent(self, samples: ImuBuffer) -> Array | None:
-        """The last `level_s` of IMU samples up to now (k, 6); None where there is no such stretch yet."""
-        span_ns = int(self.config.initialise.level_s * 1e9)
+        """The last second of IMU samples up to now (k, 6); None where there is no such stretch yet."""
+        span_ns = LEVEL_NS
         end = samples.first_after(self.t_ns)
         begin = int(np.searchsorted(samples.t_ns[:end], self.t_ns - span_ns))
         if end - begin < FEWEST_SAMPLES or samples.t_ns[end - 1] - samples.t_ns[begin] < 0.5 * span_ns:

@@ -14,7 +14,7 @@ The estimate is aligned when attitude and velocity are known well enough for the
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Final
 
 import msgspec
 import numpy as np
@@ -34,26 +34,21 @@ _HEADINGS = 8
 _LEVEL_GATE = 0.9999  # share of true attitudes that pass as level
 NO_HEADING = math.pi / math.sqrt(3.0)  # rad: sigma of a heading that may be any
 _ANY_HEADING_DEG = 60.0  # a sigma beyond this (104 is that of no knowledge at all) says nothing
+LEVEL_NS: Final = 1_000_000_000  # of specific force, used to level
+_STILL_ACCEL, _STILL_RATE = 0.3, 0.15  # m/s^2 (deviation), rad/s (mean) below which the vehicle may be at rest
+MOVING_TILT: Final = math.radians(12.0)  # sigma of roll and pitch levelled in motion
 _HOPELESS = 12.0  # ln: a heading so far behind is dropped
 
 
 class InitialiseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[initialise]: what is assumed before anything is known, and what must be known before anything is said."""
 
-    level_s: Annotated[float, Meta(ge=0.01, le=5, description="s: of specific force used to level")] = 1.0
     velocity_sigma_m_s: Annotated[float, Meta(ge=1e-3, le=1000, description="m/s: of the unknown velocity at the start")] = 10.0
     gyro_bias_sigma: Annotated[float, Meta(ge=1e-6, le=10, description="rad/s: of the gyro bias at the start")] = 0.05
     accel_bias_sigma: Annotated[float, Meta(ge=1e-6, le=100, description="m/s^2: of the accelerometer bias at the start")] = 0.3
     still_gyro: Annotated[float, Meta(ge=1e-6, le=10, description="rad/s: deviation below which the vehicle may be at rest")] = (
         0.02
     )
-    still_accel: Annotated[
-        float, Meta(ge=1e-6, le=100, description="m/s^2: deviation below which the vehicle may be at rest")
-    ] = 0.3
-    still_rate: Annotated[float, Meta(ge=1e-6, le=10, description="rad/s: mean rate below which the vehicle may be at rest")] = (
-        0.15
-    )
-    level_moving_deg: Annotated[float, Meta(ge=0.01, le=90, description="deg: sigma of roll and pitch levelled in motion")] = 12.0
     heading_deg: Annotated[
         float, Meta(ge=0.01, le=180, description="deg: attitude sigma below which the estimate is aligned")
     ] = 5.0
@@ -96,11 +91,11 @@ def level(t_ns: int, u: Array, config: InitialiseConfig, *, may_rest: bool = Tru
     f = force.mean(axis=0)
     still = may_rest and bool(
         gyro.std(axis=0).max() < config.still_gyro
-        and force.std(axis=0).max() < config.still_accel
-        and np.linalg.norm(gyro.mean(axis=0)) < config.still_rate
+        and force.std(axis=0).max() < _STILL_ACCEL
+        and np.linalg.norm(gyro.mean(axis=0)) < _STILL_RATE
         and abs(np.linalg.norm(f) - GRAVITY) < 3.0 * config.accel_bias_sigma
     )
-    tilt_sigma = math.atan(config.accel_bias_sigma / GRAVITY) if still else math.radians(config.level_moving_deg)
+    tilt_sigma = math.atan(config.accel_bias_sigma / GRAVITY) if still else MOVING_TILT
     # At rest the mean rate is the bias, but a hovering vehicle can look at rest while it turns slowly.
     return Level(
         t_ns=t_ns,

@@ -27,6 +27,7 @@ _OURS: Final = 0
 _MINUTE_NS: Final = 60 * SECOND_NS
 _TRIAL_COUNT, _TRIAL_NS = 5, SECOND_NS // 5  # of coherent stamps, before a foreign clock is accepted
 _COHERENT_NS: Final = SECOND_NS // 4
+_AHEAD_NS: Final = SECOND_NS // 2  # by which a stamp may be ahead of its arrival
 
 
 class ClockConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -35,7 +36,6 @@ class ClockConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     foreign: Annotated[
         tuple[str, ...], Meta(description="topics stamped by a clock that is not set to ours: its offset is always estimated")
     ] = ()
-    ahead_s: Annotated[float, Meta(ge=1e-3, le=10, description="s: a stamp may be ahead of its arrival by this much")] = 0.5
     late_s: Annotated[float, Meta(ge=1e-3, le=60, description="s: a message may take this long; more is another clock")] = 6.0
     quickest_s: Annotated[
         float, Meta(ge=0, le=1, description="s: what the quickest message of a foreign clock takes on its way")
@@ -156,7 +156,7 @@ class Stamps:
     def __init__(self, clock: Clock, config: ClockConfig) -> None:
         self._clock = clock
         self._forced = frozenset(config.foreign)
-        self._ahead_ns, self._late_ns = round(config.ahead_s * SECOND_NS), round(config.late_s * SECOND_NS)
+        self._late_ns = round(config.late_s * SECOND_NS)
         self._quickest_ns = round(config.quickest_s * SECOND_NS)
         self._wall: list[int] = [_OURS]  # ahead of ours: at the start, before the last step, now
         self._foreign: list[Offset] = []
@@ -181,7 +181,7 @@ class Stamps:
         forced = topic in self._forced
         walls = [] if forced else [(ahead, None) for ahead in self._wall]
         clocks = walls + [(f.ahead_ns, f) for f in self._foreign if f.ahead_ns is not None]
-        plausible = [(raw + ahead, f) for ahead, f in clocks if -self._ahead_ns <= raw + ahead <= self._late_ns]
+        plausible = [(raw + ahead, f) for ahead, f in clocks if -_AHEAD_NS <= raw + ahead <= self._late_ns]
         if not plausible:
             return self._unknown(topic, stamp_ns, arrived_ns, forced=forced)
         usual = self._lags.get(topic)

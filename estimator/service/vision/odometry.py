@@ -68,4 +68,4 @@ class OdometryWorker(VisionWorker):
 
 def vision_config(config: VisualOdometryConfig, vision: VisionConfig) -> VisionConfig:
     """How pairs are put together, as for landmarks; how long an answer may take, as for odometry."""
-    return VisionConfig(vision.most_hz, vision.pair_ms, vision.patience_ms, vision.replay_latency_ms, config.timeout_s)
+    return VisionConfig(vision.most_hz, vision.pair_ms, vision.patience_ms, config.timeout_s)

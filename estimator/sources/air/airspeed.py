@@ -7,7 +7,7 @@ k, the scale of tube and sensor, is estimated. The second row is there where sid
 
 import math
 from functools import cache
-from typing import Annotated
+from typing import Annotated, Final
 
 import numpy as np
 from msgspec import Meta
@@ -20,6 +20,7 @@ from models.frames import Origin
 from models.messages import Reading, Reason
 
 _FASTEST_M_S = 350.0
+_SIDESLIP_S: Final = 3.0  # duration of one
 _NOSE, _AND_SIDE = np.arange(1), np.arange(2)
 _USUAL = WindConfig()
 
@@ -36,7 +37,6 @@ class AirspeedConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
     sideslip_deg: Annotated[
         float, Meta(ge=0, le=45, description="deg: sideslip of a fixed wing; 0: it is not taken to fly along its nose")
     ] = 0.0
-    sideslip_s: Annotated[float, Meta(ge=0.1, le=1e4, description="s: duration of a sideslip")] = 3.0
     least_m_s: Annotated[
         float, Meta(ge=0, le=100, description="m/s: below, the tube measures nothing, or the vehicle does not fly")
     ] = 6.0
@@ -60,7 +60,7 @@ class AirspeedConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
         z, t_ns = self._velocity(speed, sigma, None), reading.t_ns - round(self.delay_s * 1e9)
         scale = estimated(scale_of(reading.topic), np.array([self.scale_sigma]), np.eye(len(z.rows))[:, :1] * speed)
         slip = speed * math.radians(self.sideslip_deg)
-        sideslip = SlowError(f"{reading.topic}.sideslip", np.array([[slip**2]]), self.sideslip_s, np.array([[0.0], [1.0]]))
+        sideslip = SlowError(f"{reading.topic}.sideslip", np.array([[slip**2]]), _SIDESLIP_S, np.array([[0.0], [1.0]]))
         return Aid(
             t_ns=t_ns,
             arrived_ns=reading.arrived_ns,

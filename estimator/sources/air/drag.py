@@ -3,11 +3,11 @@
     u(f - b_a - d) = (1 + s) (R_nb^T (v - w))_xy + n
 
 f: mean specific force of the last moment; d: the thrust is not quite along the IMU's z; s: the coefficient is not quite known.
-Both stay, and are estimated. The IMU itself asks, every_s; on the ground nothing of this holds.
+Both stay, and are estimated. The IMU itself asks, ten times a second; on the ground nothing of this holds.
 """
 
 import math
-from typing import Annotated
+from typing import Annotated, Final
 
 import msgspec
 import numpy as np
@@ -21,6 +21,8 @@ from models.frames import GRAVITY
 from models.messages import Array
 
 TOPIC = "drag"
+EVERY_NS: Final = 100_000_000  # between two readings, each the mean over that time
+_TILT: Final = math.radians(1.0)  # of the thrust against the IMU's z, which is estimated
 _ACROSS = slice(3, 5)  # specific force along x and y, of gyro and accelerometer
 
 
@@ -28,7 +30,6 @@ class DragConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[drag]: of a multirotor in flight; PX4's EKF2_MCOEF and EKF2_BCOEF."""
 
     enabled: Annotated[bool, Meta(description="whether drag shows a multirotor's velocity through the air")] = False
-    every_s: Annotated[float, Meta(ge=0.02, le=10, description="s: between two readings, each the mean over that time")] = 0.1
     momentum_1_s: Annotated[
         float, Meta(ge=0.01, le=10, description="1/s: drag of the rotors, force per mass and m/s (PX4 EKF2_MCOEF)")
     ] = 0.15
@@ -37,9 +38,6 @@ class DragConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.0
     sigma_m_s2: Annotated[float, Meta(ge=1e-3, le=100, description="m/s^2: of a reading: vibration, manoeuvres")] = 0.5
     coefficient_sigma: Annotated[float, Meta(ge=1e-3, le=1, description="ratio: of the coefficients, which is estimated")] = 0.2
-    tilt_deg: Annotated[float, Meta(ge=1e-3, le=45, description="deg: of the thrust against the IMU's z, which is estimated")] = (
-        1.0
-    )
 
 
 def drag_aid(t_ns: int, wind: WindConfig) -> Aid:
@@ -52,6 +50,6 @@ def felt(aid: Aid, u: Array, config: DragConfig) -> tuple[Aid, DragForce]:
     square = 0.5 * SEA_LEVEL_KG_M3 / config.ballistic_kg_m2 if config.ballistic_kg_m2 else 0.0
     z = DragForce(u[:, _ACROSS].mean(axis=0), config.sigma_m_s2, config.momentum_1_s, square)
     through_air, by_force = z.velocity(z.f_b)
-    tilt = estimated(f"{TOPIC}.tilt", np.full(2, GRAVITY * math.radians(config.tilt_deg)), by_force)
+    tilt = estimated(f"{TOPIC}.tilt", np.full(2, GRAVITY * _TILT), by_force)
     scale = estimated(scale_of(TOPIC), np.array([config.coefficient_sigma]), through_air[:, np.newaxis])
     return replace(aid, slow_errors=(tilt, scale, *aid.slow_errors)), z

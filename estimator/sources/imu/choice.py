@@ -2,9 +2,9 @@
 
 The estimator integrates one stream. The choice stands before it and hands on the samples of the leading IMU. An IMU fails when
 
-    silent         it sends nothing usable for silent_s while another one does (samples that are not finite are not usable)
-    stuck          all of its axes read the same for stuck_s while another one changes
-    held           one axis reads the same for stuck_s, as at the end of its range, and another IMU contradicts it
+    silent         it sends nothing usable for 0.1 s while another one does (samples that are not finite are not usable)
+    stuck          all of its axes read the same for 0.5 s while another one changes
+    held           one axis reads the same for 0.5 s, as at the end of its range, and another IMU contradicts it
     contradicted   two others agree with each other, and not with it; or one does not, and positions contradict it, too
 
 Two means over 0.2 s contradict each other where they differ by more than the threshold beyond the difference d of before:
@@ -25,11 +25,9 @@ measurement that comes late changes it, but for a position that decides between 
 """
 
 import math
-from typing import Annotated, NamedTuple
+from typing import Final, NamedTuple
 
-import msgspec
 import numpy as np
-from msgspec import Meta
 
 from estimator.sources.base.aid import Aid, order
 from estimator.sources.base.rules import RULES
@@ -47,18 +45,11 @@ _AXES = 6
 _WHERE_REFUTED = 0.25  # of the thresholds, where positions contradict the estimate
 _UNSEEN_NS = 4_000_000_000  # for so long the fault may have been too small to be seen
 _DOUBT_NS = 60_000_000_000  # a contradiction is reported for so long
+_SILENT_NS: Final = 100_000_000  # ten missed samples of the slowest IMU that is flown, 100 Hz
+_STUCK_NS: Final = 500_000_000
+_CONTRADICT: Final = ((_GYRO, 0.1), (_ACCEL, 2.0))  # rad/s, m/s^2
+_BIAS_FLOOR: Final = np.repeat([5e-4, 0.02], 3)  # rad/s, m/s^2: sigma of the new IMU's bias, at least
 _AGAIN_NS = 10_000_000_000  # an IMU that has failed is not chosen again for so long
-
-
-class ImusConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """[imus]: when another IMU takes over; used where [inputs] imu names several, the first of which leads."""
-
-    silent_s: Annotated[float, Meta(ge=0.02, le=10, description="s: an IMU that sends nothing for longer has failed")] = 0.1
-    stuck_s: Annotated[float, Meta(ge=0.05, le=2, description="s: one that reads the same for longer has failed")] = 0.5
-    gyro_threshold: Annotated[float, Meta(ge=1e-3, le=10, description="rad/s: two IMUs contradict each other beyond")] = 0.1
-    accel_threshold: Annotated[float, Meta(ge=1e-2, le=100, description="m/s^2: two IMUs contradict each other beyond")] = 2.0
-    gyro_sigma: Annotated[float, Meta(ge=0, le=1, description="rad/s: of the new IMU's bias, at least")] = 5e-4
-    accel_sigma: Annotated[float, Meta(ge=0, le=10, description="m/s^2: of the new IMU's bias, at least")] = 0.02
 
 
 class TakeOver(NamedTuple):
@@ -83,9 +74,8 @@ class ImuAid(Aid, frozen=True, eq=False, kw_only=True):
 class Choice:
     """Which IMU leads. topics: those of [inputs] imu; with fewer than two every sample is used."""
 
-    def __init__(self, config: ImusConfig, topics: tuple[str, ...]) -> None:
-        self._config, self._topics = config, topics
-        self._silent_ns, self._stuck_ns = round(config.silent_s * 1e9), round(config.stuck_s * 1e9)
+    def __init__(self, topics: tuple[str, ...]) -> None:
+        self._topics = topics
         self.leader = topics[0] if topics else ""
         self.why = ""
         self._again_ns: dict[str, int] = {}
@@ -145,15 +135,15 @@ class Choice:
         if not others or self._first_ns is None:
             return None
         heard_ns = max(lead.newest_ns, self._first_ns)
-        if t_ns - heard_ns > self._silent_ns:
+        if t_ns - heard_ns > _SILENT_NS:
             return self._take_over(others[0], heard_ns, f"{self.leader} is silent", t_ns)
-        if lead.is_stuck(self._stuck_ns):
+        if lead.is_stuck(_STUCK_NS):
             since_ns = lead.held_since_ns(range(_AXES))
             return self._take_over(others[0], since_ns, f"{self.leader} reads the same all the time: stuck", t_ns)
         if (block := t_ns // BLOCK_NS) == self._checked_block:
             return None
         self._checked_block = block
-        held, share = lead.held(self._stuck_ns), _WHERE_REFUTED if is_refuted else 1.0
+        held, share = lead.held(_STUCK_NS), _WHERE_REFUTED if is_refuted else 1.0
         against = [x for x in others if self._contradict(self.leader, x, share)]
         if held and against:
             return self._take_over(
@@ -175,15 +165,15 @@ class Choice:
         return None
 
     def _is_healthy(self, topic: str, t_ns: int) -> bool:
-        is_stuck = self._streams[topic].is_stuck(self._stuck_ns)
+        is_stuck = self._streams[topic].is_stuck(_STUCK_NS)
         return self._is_heard(topic, t_ns) and not is_stuck and self._again_ns.get(topic, 0) <= t_ns
 
     def _is_heard(self, topic: str, t_ns: int) -> bool:
-        return t_ns - self._streams[topic].newest_ns <= self._silent_ns
+        return t_ns - self._streams[topic].newest_ns <= _SILENT_NS
 
     def _contradict(self, one: str, other: str, share: float = 1.0) -> bool:
         """Whether the last blocks of two IMUs differ by more than they did before, and by that share of the threshold."""
-        first, second, config = self._streams[one], self._streams[other], self._config
+        first, second = self._streams[one], self._streams[other]
         blocks, differences = first.blocks(second)
         if len(blocks) < _AGAINST:
             return False
@@ -192,7 +182,7 @@ class Choice:
         for block, difference in zip(blocks[-_AGAINST:], differences[-_AGAINST:] - usual, strict=True):
             mean, variance = first.mean(block)
             variance = variance + second.mean(block)[1]
-            for part, threshold in ((_GYRO, config.gyro_threshold), (_ACCEL, config.accel_threshold)):
+            for part, threshold in _CONTRADICT:
                 expected = _SHARE * np.linalg.norm(mean[part]) + _ERRORS * math.sqrt(variance[part].sum())
                 if np.linalg.norm(difference[part]) > share * threshold + expected:
                     break
@@ -206,9 +196,8 @@ class Choice:
         known = differences[[b < since_ns // BLOCK_NS - _BEFORE_BLOCKS for b in blocks]]
         shift, sigma = None, np.zeros(_AXES)
         if (n := len(known)) >= _LEAST_BLOCKS:
-            floor = np.repeat([self._config.gyro_sigma, self._config.accel_sigma], 3)
             shift = known.mean(axis=0)
-            sigma = np.maximum(floor, known.std(axis=0) * np.sqrt(_SLOW_BLOCKS / n))
+            sigma = np.maximum(_BIAS_FLOOR, known.std(axis=0) * np.sqrt(_SLOW_BLOCKS / n))
         self._again_ns[self.leader], self._apart_ns = t_ns + _AGAIN_NS, None
         self.leader, self.why = topic, f"{why}; {topic} leads"
         return TakeOver(topic, since_ns, stream.after(since_ns), self.why, shift, sigma)

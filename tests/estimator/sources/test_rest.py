@@ -36,7 +36,7 @@ def test_at_rest_the_innovation_is_zero_and_the_jacobian_its_derivative(seed: in
 def test_a_steady_rate_is_quiet_and_a_shake_is_not() -> None:
     rng = np.random.default_rng(0)
     quiet = rng.normal(scale=[2e-3] * 3 + [0.03] * 3, size=(50, 6))
-    assert is_quiet(quiet + np.array([0.1, 0.0, 0.0, 0.0, 0.0, -9.8]), RestConfig())
+    assert is_quiet(quiet + np.array([0.1, 0.0, 0.0, 0.0, 0.0, -9.8]))
     shaken = quiet.copy()
     shaken[:, 4] += 0.3 * np.sin(np.arange(50))
-    assert not is_quiet(shaken, RestConfig())
+    assert not is_quiet(shaken)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from estimator.filter.alignment.initialise import (
+    MOVING_TILT,
     InitialiseConfig,
     Level,
     aligned,
@@ -64,7 +65,7 @@ def test_the_mean_rate_at_rest_is_the_gyro_bias() -> None:
 def test_in_motion_neither_tilt_nor_gyro_bias_is_trusted(moving: dict[str, float]) -> None:
     at = level(EPOCH_NS, _stretch(0.0, 0.0, **moving), CONFIG)  # type: ignore[arg-type]
     assert not at.still
-    assert at.tilt_sigma == pytest.approx(math.radians(CONFIG.level_moving_deg))
+    assert at.tilt_sigma == MOVING_TILT
     np.testing.assert_array_equal(at.gyro_bias, 0.0)
     assert at.gyro_bias_sigma == CONFIG.gyro_bias_sigma
 
@@ -72,7 +73,7 @@ def test_in_motion_neither_tilt_nor_gyro_bias_is_trusted(moving: dict[str, float
 def test_what_feels_like_rest_is_none_where_something_else_reports_that_it_moves() -> None:
     at = level(EPOCH_NS, _stretch(0.2, 0.0), CONFIG, may_rest=False)
     assert not at.still
-    assert at.tilt_sigma == pytest.approx(math.radians(CONFIG.level_moving_deg))
+    assert at.tilt_sigma == MOVING_TILT
     np.testing.assert_array_equal(at.gyro_bias, 0.0)
 
 
