@@ -150,10 +150,9 @@ class Recognisers:
         flaw = pose if isinstance(pose, str) else pose_flaw(pose, prior)
         if flaw or isinstance(pose, str):
             return replace(laid, report=_with_detail(laid.report, str(flaw)))
-        coefficient = 0.0 if peak.oriented is None else peak.oriented.coefficient
         evidence = (
             f"{known.image.name}: position by the peak of the search alone, {peak.ratio:.2f} times the second, "
-            f"correlation {peak.correlation:.2f}, of the edges' directions {coefficient:.2f}; {laid.report.detail}"
+            f"correlation {peak.correlation:.2f}, of the edges' directions {peak.oriented:.2f}; {laid.report.detail}"
         )
         fixed = _fixed(laid.report.t_ns, known.image.name, pose, (1, 1), evidence, peak.correlation)
         likely = isinstance(found, Registered) and found.is_likely(self._config.registration)

@@ -7,25 +7,13 @@ coincide by chance their directions do not: rho is 0 in the mean. A direction th
 oblique view, is no evidence: the mean is taken off.
 """
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 
 from vision.ground.image import Float
-from vision.ground.view import Mask
 
 _BLUR_PX = 1.0
-_BESIDE_PX = 1.5  # as far from the peak the coefficient is sought
-
-
-@dataclass(frozen=True, slots=True)
-class Oriented:
-    """coefficient: at the peak; ratio: over the largest elsewhere; deviations: over the scatter elsewhere."""
-
-    coefficient: float
-    ratio: float
-    deviations: float
+_BESIDE_PX = 1  # as far from the peak the coefficient is sought, each way
 
 
 def directions(view: Float, structure: Float) -> Float:
@@ -37,17 +25,15 @@ def directions(view: Float, structure: Float) -> Float:
     return o
 
 
-def oriented(image: Float, template: Float, mask: Float, at: tuple[int, int], elsewhere: Mask) -> Oriented:
-    """The coefficient at (row, column) of all shifts, and at those of elsewhere. image, template: directions."""
+def coefficient(image: Float, template: Float, mask: Float, at: tuple[int, int]) -> float:
+    """rho at (row, column) of all shifts, or beside it. image, template: directions."""
+    (row, column), (height, width) = at, mask.shape
+    top, left = max(row - _BESIDE_PX, 0), max(column - _BESIDE_PX, 0)
+    image = image[top : row + _BESIDE_PX + height, left : column + _BESIDE_PX + width]
     count = float(mask.sum())
     t = mask[..., None] * (template - (mask[..., None] * template).sum(axis=(0, 1)) / count)
     product = cv2.matchTemplate(image, t, cv2.TM_CCORR)
     planes = [np.ascontiguousarray(image[..., k]) for k in range(image.shape[-1])]
     mean_squared = sum(cv2.matchTemplate(plane, mask, cv2.TM_CCORR) ** 2 / count for plane in planes)
     energy = cv2.matchTemplate(np.ascontiguousarray((image * image).sum(axis=-1)), mask, cv2.TM_CCORR) - mean_squared
-    rho = product / np.sqrt(np.maximum(energy, np.float32(1e-6)) * float((t * t).sum()))
-    rows, columns = np.indices(rho.shape)
-    best = float(rho[np.hypot(rows - at[0], columns - at[1]) <= _BESIDE_PX].max())
-    others = rho[elsewhere]
-    scatter, second = (float(others.std()), float(others.max())) if len(others) else (0.0, 1.0)
-    return Oriented(best, best / max(second, 1e-6), best / scatter if scatter > 0.0 else 0.0)
+    return float((product / np.sqrt(np.maximum(energy, np.float32(1e-6)) * float((t * t).sum()))).max())

@@ -47,8 +47,6 @@ class PeakConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     alone_deviations: Annotated[float, Meta(ge=0, description="correlation over the scatter, without other evidence")] = 5.5
     oriented: Annotated[float, Meta(ge=0, le=1, description="coefficient of the edges' directions, as other evidence")] = 0.18
     oriented_correlation: Annotated[float, Meta(ge=0, le=1, description="at the peak, with that evidence")] = 0.25
-    oriented_ratio: Annotated[float, Meta(ge=1, description="that over the largest elsewhere")] = 1.15
-    oriented_deviations: Annotated[float, Meta(ge=0, description="that over the scatter at other positions")] = 4.5
     line_deviations: Annotated[
         float, Meta(ge=0, description="correlation over the scatter beside a line, of which there are fewer than of positions")
     ] = 3.0
@@ -80,14 +78,8 @@ def stands_alone(peak: Peak, config: PeakConfig) -> bool:
 
 
 def edges_agree(peak: Peak, config: PeakConfig) -> bool:
-    """Whether edges lie the same way at the peak, and nowhere else as much."""
-    o = peak.oriented
-    return o is not None and (
-        peak.correlation >= config.oriented_correlation
-        and o.coefficient >= config.oriented
-        and o.ratio >= config.oriented_ratio
-        and o.deviations >= config.oriented_deviations
-    )
+    """Whether edges lie the same way at the peak."""
+    return peak.correlation >= config.oriented_correlation and peak.oriented >= config.oriented
 
 
 def fit_peak(
@@ -113,7 +105,7 @@ def fit_ridge(
         return "the best positions are no line"
     if peak.correlation < config.alone_correlation or ridge.deviations < config.line_deviations:
         return f"correlation {peak.correlation:.2f}, {ridge.deviations:.1f} standard deviations of those beside the line"
-    if peak.oriented is None or peak.oriented.coefficient < config.oriented:
+    if peak.oriented < config.oriented:
         return "the edges lie another way"
     across = np.outer(ridge.normal_n, ridge.normal_n)
     C = (ridge.sigma_m**2 + (config.step * peak.q) ** 2) * across + _OPEN_M**2 * (np.eye(2) - across)

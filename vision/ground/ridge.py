@@ -75,15 +75,6 @@ def find_line(scores: Float, inside: Mask, extent: Array, ratio: float) -> Line 
     return Line(normal, offset, float(np.sqrt(max(values[0], 0.0))), (best - usual) / (second - usual), best / scatter)
 
 
-def off_line(inside: Mask, row: int, column: int, line: Line | None) -> Array:
-    """Distance [points] of all shifts from the line, or from the best position (row, column) where there is none."""
-    rows, columns = np.indices(inside.shape)
-    if line is None:
-        return np.asarray(np.hypot(rows - row, columns - column))
-    off: Array = np.abs((columns - column) * line.normal[0] + (rows - row) * line.normal[1] - line.offset)
-    return off
-
-
 def where_evidence_is(template: Float, image: Float, mask: Float) -> Array:
     """Column, row: mean of the template's points under the mask, weighted by what they add to the correlation."""
     seen = mask > 0.0

@@ -22,8 +22,8 @@ from models.messages import Array
 from models.prior import Prior
 from vision.describe.correspond import sobel
 from vision.ground.image import Float, GroundImage
-from vision.ground.orientation import Oriented, directions, oriented
-from vision.ground.ridge import LOBE_PX, Ridge, find_line, off_line, where_evidence_is
+from vision.ground.orientation import coefficient, directions
+from vision.ground.ridge import LOBE_PX, Ridge, find_line, where_evidence_is
 from vision.ground.view import Camera, Grid, Mask, camera_view, make_grid, map_view
 from vision.image.rectify import Image
 
@@ -58,7 +58,7 @@ class Peak:
     deviations: correlation over the standard deviation of those of other positions; seen_n (3,): ground where by the prior the
     middle of what is seen lies; shown_n (2,): where by the map; q: points of the search are so many m apart; curvature (2, 2):
     -d^2 rho / d(north, east)^2 [1/m^2], None where the peak has no one position, or lies at the border of the search; oriented:
-    whether edges lie the same way; ridge: where positions along one line are as good.
+    coefficient of the edges' directions; ridge: where positions along one line are as good.
     """
 
     p_n: Array
@@ -70,7 +70,7 @@ class Peak:
     shown_n: Array
     q: float
     curvature: Array | None
-    oriented: Oriented | None = None
+    oriented: float = 0.0
     ridge: Ridge | None = None
 
 
@@ -192,8 +192,7 @@ def _with_evidence(
     ground = map_view(map_image, turned, reach)[0]
     image, (view, template, mask) = structure(ground), seen
     line = find_line(searched.scores, searched.inside, searched.extent, ratio)
-    apart = off_line(searched.inside, i, j, line)
-    same = oriented(directions(ground, image), directions(view, template), mask, (i, j), searched.inside & (apart > LOBE_PX))
+    same = coefficient(directions(ground, image), directions(view, template), mask, (i, j))
     if line is None:
         return replace(peak, oriented=same)
     at = where_evidence_is(template, image[i : i + height, j : j + width], mask)
@@ -210,7 +209,8 @@ def _stands_out(searched: _Searched, ground: Array, prior: Prior) -> Peak | NotR
     if not best > 0.0:
         return NotRegistered("no_structure", "nothing in the map looks like the image")
     highest = scores.max(axis=0)
-    elsewhere = inside & (off_line(inside, i, j, None) > LOBE_PX)
+    rows, columns = np.indices(inside.shape)
+    elsewhere = inside & (np.hypot(rows - i, columns - j) > LOBE_PX)
     usual = float(np.median(highest[inside]))
     second = float(highest[elsewhere].max(initial=-1.0))
     ratio = (best - usual) / (second - usual) if second > usual and best > usual else math.inf if best > usual else 1.0

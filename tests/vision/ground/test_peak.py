@@ -11,9 +11,10 @@ from models.messages import Array
 from models.prior import Prior
 from tests.vision.ground import scene
 from vision.ground.image import GroundImage, Heights
+from vision.ground.orientation import coefficient, directions
 from vision.ground.peak import PeakConfig, fit_peak, peak_flaw
 from vision.ground.registration import register
-from vision.ground.search import NotRegistered, Peak, RegistrationConfig
+from vision.ground.search import NotRegistered, Peak, RegistrationConfig, structure
 from vision.pose.pose import difference
 
 _SIGMA = np.array([8.0, 8.0, 3.0, 0.01, 0.01, 0.03])
@@ -88,3 +89,17 @@ def test_the_less_is_explained_the_less_is_claimed() -> None:
         assert fit.directions is not None
         sigma.append(float(np.sqrt(np.trace(fit.directions @ fit.covariance_common @ fit.directions.T))))
     assert sigma[0] < sigma[1] < sigma[2]
+
+
+@pytest.mark.parametrize(
+    ("turned", "shifted", "least", "most"), [(0, 0, 0.99, 1.01), (0, 1, 0.9, 1.01), (1, 0, -0.1, 0.1), (0, 20, -0.1, 0.1)]
+)
+def test_edges_lie_the_same_way_where_the_image_is(turned: int, shifted: int, least: float, most: float) -> None:
+    """One point beside the position is near enough; turned by an eighth, or elsewhere, the coefficient is none."""
+    view = np.asarray(scene.drawing(3)[400:560, 400:560], dtype=np.float32)
+    whole = directions(view, structure(view))
+    part = whole[30:126, 30:126]
+    if turned:
+        part = np.stack((-part[..., 1], part[..., 0]), axis=-1)
+    found = coefficient(whole, np.ascontiguousarray(part), np.ones((96, 96), np.float32), (30, 30 + shifted))
+    assert least < found < most
