@@ -36,7 +36,7 @@ _OURS = frozenset({"estimator", "logs", "models", "vision", "calib"})
 
 
 class OneLineErrors(Group):
-    """Turns what goes wrong inside a command into one line and exit code 1; LANDFIX_DEBUG=1 or --debug lets it through."""
+    """Errors inside a command become one line and exit code 1; LANDFIX_DEBUG=1 or --debug lets them through."""
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
@@ -66,7 +66,7 @@ def printable(text: str) -> str:
 
 
 def one_line(error: Exception) -> str:
-    """What a person reads: our own errors and the system's say what is wrong; anything else is a defect of ours."""
+    """The message of our own and the system's errors; any other exception is reported as a defect."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     if isinstance(error, ImportError):

@@ -1,4 +1,4 @@
-"""The configuration: TOML sections -> the parameter structs of the parts (`landfix doctor --config` prints all keys)."""
+"""The configuration: TOML sections -> parameter structs (`landfix doctor --config` prints all keys)."""
 
 import re
 from pathlib import Path
@@ -64,7 +64,7 @@ _WILD = re.compile(r"[*?#$]|\s")
 
 
 class Inputs(Topics, frozen=True, forbid_unknown_fields=True):
-    """[inputs]: which topics are read, one or a list each; of equal kind, each topic is a source of its own."""
+    """[inputs]: topics to read, one or a list each; each topic is a source of its own."""
 
     imu: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/Imu; the first leads")] = _TOPICS.imu
     gnss: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/NavSatFix")] = _TOPICS.gnss
@@ -166,7 +166,7 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         )
 
     def decoder(self) -> Decoder:
-        """What reads the wire. Raises ConfigError for a topic that is to feed two inputs, is landfix's own, or no one topic."""
+        """The wire decoder. Raises ConfigError for an invalid topic, landfix's own, or one that feeds two inputs."""
         for name in self.inputs.__struct_fields__:
             for topic in getattr(self.inputs, name):
                 if _OWN.match(topic) or _WILD.search(topic):
@@ -188,7 +188,7 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         return ImuMounting(self.imu.axes, *self.imu.mounting_rpy_deg, others)
 
     def files(self) -> dict[str, str]:
-        """Files that belong to the configuration, where given: what they are, and where, seen from its folder."""
+        """Files that the configuration names: description and path, relative to its folder."""
         named = {"calibration": self.rig.file, "map": self.map.landmarks}
         return {name: file for name, file in named.items() if file}
 
@@ -214,12 +214,12 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 def load(path: Path | None) -> Config:
-    """The configuration of a file, with the landmarks' origin where it has none; None: defaults. Raises ConfigError."""
+    """The configuration of a file (None: defaults), origin from the landmarks where it has none. Raises ConfigError."""
     return with_origin(read(path), path.parent) if path else Config()
 
 
 def read(path: Path) -> Config:
-    """What stands in the file; none of the files that it names is examined. Raises ConfigError, as load does."""
+    """The content of the file, named files unread. Raises ConfigError."""
     try:
         with opened(path) as file:
             text = toml_text.decode(file.read(toml_text.MOST_BYTES + 1))
@@ -231,7 +231,7 @@ def read(path: Path) -> Config:
 
 
 def with_origin(config: Config, folder: Path) -> Config:
-    """The configuration, whose files count from `folder`, with the origin of its map if it has none. Raises ConfigError."""
+    """The configuration, files relative to `folder`, with its map's origin if it has none. Raises ConfigError."""
     landmarks, picture = config.map.landmarks, config.map_image(folder)
     if config.map.origin is not None or not (landmarks or picture):
         return config
@@ -254,7 +254,7 @@ def parse(text: str, name: str = "configuration") -> Config:
 
 
 def _not_of_the_vehicle(config: Config) -> str:
-    """What is switched on although it does not hold for [bounds] vehicle, and would mislead; '' where nothing is."""
+    """Options that contradict [bounds] vehicle; '' without any."""
     vehicle = config.bounds.vehicle
     if config.drag.enabled and vehicle not in {"any", "multirotor"}:
         return f'[drag] enabled: rotors have this drag, and [bounds] vehicle is "{vehicle}"; set enabled = false'

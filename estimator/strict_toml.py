@@ -1,7 +1,7 @@
-"""TOML <-> parameter structs, strictly: nothing unknown, of a wrong type or range, or infinite passes.
+"""TOML <-> parameter structs, strictly: unknown keys, wrong types or ranges and infinities are refused.
 
-A struct is a frozen msgspec.Struct with fields `Annotated[float, msgspec.Meta(gt=0, description="m/s: what it means")]`; the unit
-stands before the colon, or is the suffix of the name (`history_s`).
+Structs are frozen msgspec.Structs with fields `Annotated[float, msgspec.Meta(gt=0, description="m/s: what it means")]`; the unit
+is before the colon, or the name's suffix (`history_s`).
 """
 
 import difflib
@@ -31,7 +31,7 @@ class ConfigError(ValueError):
 
 
 class Key(NamedTuple):
-    """One row of the table of all keys; section and name as they stand in the file, default as TOML ("-": none)."""
+    """A row of the table of keys; section, name as in the file, default as TOML ("-": none)."""
 
     section: str
     name: str
@@ -54,7 +54,7 @@ def decode(kind: type[T], text: str, name: str) -> T:
 
 
 def encode(value: msgspec.Struct) -> str:
-    """All keys of a struct of structs as TOML, defaults included; keys that are None have no TOML form and are left out."""
+    """All keys of a struct of structs as TOML, defaults included, None omitted."""
     return "\n".join(_sections(value, "")).lstrip("\n") + "\n"
 
 
@@ -80,7 +80,7 @@ def _nested(info: mi.Type) -> mi.StructType | None:
 
 
 def _checked(info: mi.StructType, table: Mapping[str, Any], path: str) -> dict[str, Any]:
-    """The table with unknown keys refused, one string taken as a list of one, whole numbers as floats where floats are meant."""
+    """The table with unknown keys refused, strings as lists of one, integers as floats where needed."""
     fields = {f.encode_name: f.type for f in info.fields}
     result = {}
     for key, value in table.items():
@@ -121,12 +121,10 @@ def _value(info: mi.Type, value: Any, path: str) -> Any:
 
 
 def _item(alternatives: tuple[mi.Type, ...]) -> mi.Type:
-    """The type of the items of a list; anything where the field is none."""
     return next((a.item_type for a in alternatives if isinstance(a, mi.VarTupleType)), mi.AnyType())
 
 
 def _shown(value: Any) -> str:
-    """A value in a message."""
     try:
         text = json.dumps(value, default=str)
     except RecursionError:

@@ -35,7 +35,7 @@ def cut(rig: StereoRig, p_n: Array, R_nb: Array, mark: Landmark) -> bool:
 
 
 def shares(world: World, rig: StereoRig, p_n: Array, R_nb: Array) -> dict[str, float]:
-    """Share of each roof's area that the left image shows: not beyond its border, not behind something else; 0 left out."""
+    """Share of each roof's area that the left image shows, neither beyond its border nor occluded; 0 is left out."""
     camera, (p_nc, R_nc) = rig.left, rig.camera_pose(p_n, R_nb)
     labels = render_labels(world, camera, p_nc, R_nc)
     found = {}
@@ -51,7 +51,7 @@ def shares(world: World, rig: StereoRig, p_n: Array, R_nb: Array) -> dict[str, f
 
 
 def hide(world: World, rig: StereoRig, p_n: Array, R_nb: Array, rng: np.random.Generator) -> World:
-    """World with a tower before every roof in the image that one can hide: height t at s of the way, s = (H - t) / (H - h)."""
+    """World with a tower before every roof that one can hide: height t at s of the way, s = (H - t) / (H - h)."""
     p_nc, _ = rig.camera_pose(p_n, R_nb)
     taken = [(*s.outline_n.mean(axis=0), _radius(s.outline_n)) for s in world.solids if s.height_m > 0.0]
     towers = []

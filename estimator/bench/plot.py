@@ -17,7 +17,7 @@ _WIDTH: Final = 0.2  # of a bar
 
 
 def draw(result: Recognition) -> Figure:
-    """Groups of bars, one a method, for every experiment and kind of roof; below them the processor's time for a frame."""
+    """Bars of each method by experiment and kind of roof; below them the CPU time of a frame."""
     figure = Figure(figsize=(10.0, 6.2), layout="constrained", dpi=110)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))
     groups = list(dict.fromkeys((r.experiment, r.roof) for r in result.rows))
@@ -45,7 +45,6 @@ def draw(result: Recognition) -> Figure:
 
 
 def _shares(axes: Axes, x: Array, rows: Sequence[Row], method: str) -> None:
-    """Recognised in the method's colour with 95 % below its tip, wrong hatched on top of it."""
     n = np.maximum([r.samples for r in rows], 1)
     good, bad = (100.0 * np.array([getattr(r, name) for r in rows]) / n for name in ("recognised", "wrong"))
     least = 100.0 * np.array([r.recognised_above for r in rows])

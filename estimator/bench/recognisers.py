@@ -1,7 +1,7 @@
-"""Three methods for a landmark in a pair of images: landfix, the thesis' alone, SIFT + FLANN; recognised, wrong or silent.
+"""Three methods for a landmark in a pair of images: landfix, the plain method of the thesis, SIFT + FLANN.
 
-Recognised: named, with a position that agrees with the truth. Wrong: something else is named, or the position contradicts.
-Silent: asked again with the next pair.
+Recognised: named, and the position agrees with the truth. Wrong: another one is named, or the position contradicts. Silent: gets
+the next pair.
 """
 
 import itertools
@@ -54,7 +54,7 @@ Method: TypeAlias = Callable[[Sample, bool], Answer]  # of a pair; timed or not
 
 
 def until_heard(method: Method, sample: Sample, timed: bool, pairs: int) -> Answer:
-    """A method's answer to the first pair that it is not silent about, or to the last; it is timed with the first."""
+    """A method's first answer that is not silent, else its last; timed with the first pair."""
     answer = method(sample, timed)
     cpu_ms = answer.cpu_ms
     while answer.verdict == "silent" and answer.pair < pairs:
@@ -64,7 +64,7 @@ def until_heard(method: Method, sample: Sample, timed: bool, pairs: int) -> Answ
 
 
 def landfix(sample: Sample, config: PipelineConfig | None = None, timed: bool = True, pairs: int = 2) -> Answer:
-    """Our pipeline from rig, map and prior, with memory of the pair half a second before; cpu_ms: without set-up."""
+    """Our pipeline from rig, map and prior, with memory of the pair 0.5 s before; cpu_ms excludes set-up."""
     pipeline, again = (LandmarkPipeline(sample.scene.rig_calibrated, sample.scene.map, config) for _ in range(2))
     stamps = itertools.count(0, _NEXT_NS)
 
@@ -96,7 +96,7 @@ def judged(result: Result, sample: Sample, cpu_ms: float | None) -> Answer:
 
 
 def fused(prior: Prior, fix: LandmarkFix) -> tuple[Array, Array]:
-    """p_n = p_0 + (K d)_p, K = P (P + R)^-1, d = fix (-) prior; and its covariance (3, 3), of the prior's share too."""
+    """p_n = p_0 + (K d)_p, K = P (P + R)^-1, d = fix (-) prior, and its covariance (3, 3)."""
     R = fix.covariance + (0.0 if fix.covariance_common is None else fix.covariance_common)
     turn = so3.quat_log(so3.multiply(np.array(fix.q_nb_wxyz), so3.conjugate(np.ascontiguousarray(prior.q_nb_wxyz))))
     K = np.linalg.solve(prior.covariance + R, prior.covariance).T
@@ -105,7 +105,7 @@ def fused(prior: Prior, fix: LandmarkFix) -> tuple[Array, Array]:
 
 
 def thesis(sample: Sample, timed: bool = True) -> Answer:
-    """Chapter 5 as it stands: colours of the map, regions, stereo, similarity (eq. 5.5) >= 75 %, and the best one wins."""
+    """The thesis' chapter 5: colours of the map, regions, stereo, best similarity (eq. 5.5) >= 75 %."""
     near = sample.scene.map.near(float(sample.prior.p_n[0]), float(sample.prior.p_n[1]), _NEAR_M)
     if all(m.id != sample.target for m in near):  # a view askew reaches farther
         near += [m for m in sample.scene.map if m.id == sample.target]
@@ -125,7 +125,6 @@ def thesis(sample: Sample, timed: bool = True) -> Answer:
 
 
 def _measured(sample: Sample, near: list[Landmark]) -> list[Sighting]:
-    """What the pair shows, in metres."""
     made = rectification(sample.scene.rig_calibrated)
     left, right = rectify(sample.left, made.left), rectify(grey(sample.right), made.right)
     colours = tuple(sorted({m.colour_bgr for m in near if m.colour_bgr is not None}))
@@ -137,7 +136,7 @@ def _measured(sample: Sample, near: list[Landmark]) -> list[Sighting]:
 
 
 class Looked(NamedTuple):
-    """SIFT's key points of an image (N, 2) px with descriptors (N, 128), and what finding them took."""
+    """SIFT keypoints (N, 2) px of an image, descriptors (N, 128), and the time they took."""
 
     points: Points
     descriptors: Points
@@ -154,9 +153,9 @@ def sift_points(image: Image) -> Looked:
 
 
 def sift_and_flann(sample: Sample, looked: Looked, surroundings: bool) -> Answer:
-    """The left image against the landmark's reference: ratio 0.75, homography by RANSAC at 3 px, at least 10 inliers.
+    """The left image against the landmark's reference: ratio 0.75, RANSAC homography at 3 px, >= 10 inliers.
 
-    From the key points on the roof alone, or with those around it; none without a reference.
+    From keypoints on the roof alone, or with its surroundings; none without a reference.
     """
     if sample.reference is None:
         return Answer("silent", None, None, "no image of the landmark")
@@ -171,7 +170,7 @@ def sift_and_flann(sample: Sample, looked: Looked, surroundings: bool) -> Answer
 
 
 def homography(reference: Looked, looked: Looked) -> Array | None:
-    """From the reference to the image (3, 3); None where fewer than ten key points agree on one."""
+    """Reference -> image (3, 3); None where fewer than ten keypoints agree on one."""
     if len(reference.points) < 2 or len(looked.points) < 2:
         return None
     matcher = cv2.FlannBasedMatcher({"algorithm": 1, "trees": 5}, {"checks": 50})
@@ -189,7 +188,6 @@ def _sift() -> cv2.SIFT:
 
 
 def _key_points(reference: Reference, surroundings: bool) -> Looked:
-    """Of a reference: all, or those on the roof and its edge."""
     looked = sift_points(reference.image)
     if surroundings:
         return looked
@@ -199,7 +197,6 @@ def _key_points(reference: Reference, surroundings: bool) -> Looked:
 
 
 def _off_m(sample: Sample, H: Array) -> float:
-    """By how much the landmark's middle is misplaced [m], on its roof or on the ground below, which is what most points show."""
     assert sample.reference is not None
     x = H @ np.append(sample.reference.centre_px, 1.0)
     mark = next(m for m in sample.scene.world.landmarks if m.id == sample.target)
@@ -210,7 +207,7 @@ def _off_m(sample: Sample, H: Array) -> float:
 
 
 def ask(sample: Sample, looked: Looked, timed: bool, pairs: int) -> dict[str, Answer]:
-    """All answers, by METHODS' names; looked: the key points of the left image. Timing looks twice at an image."""
+    """All answers by METHODS' names; looked: keypoints of the left image, found again where timed."""
     key_points = {sample.numbers: looked}
 
     def sift(surroundings: bool) -> Answer:

@@ -28,7 +28,7 @@ TIMED: Final = 4  # one sample in so many
 
 
 class Trial(msgspec.Struct, frozen=True):
-    """One sample: how much of the roof was in view, key points, images drawn before that had too few, answers by method."""
+    """One sample: visible share of the roof, keypoints, images redrawn for too few, answers by method."""
 
     experiment: Experiment
     roof: Roof
@@ -40,9 +40,9 @@ class Trial(msgspec.Struct, frozen=True):
 
 
 class Row(msgspec.Struct, frozen=True):
-    """One method in one experiment. by_pair: recognised from the first pair, the first two, ...; cpu: of one core, for a pair.
+    """One method in one experiment; by_pair: recognised from the first pair, the first two, ...; cpu: of one core.
 
-    wrong_below, recognised_above: the true shares are, 95 % sure.
+    wrong_below, recognised_above: 95 % bounds of the true shares.
     """
 
     experiment: Experiment
@@ -60,7 +60,7 @@ class Row(msgspec.Struct, frozen=True):
 
 
 class Recognition(msgspec.Struct, frozen=True):
-    """A run. pairs: that each method is shown at most; redrawn: images that had too few key points for a fair comparison."""
+    """A run; pairs: shown to each method at most; redrawn: images with too few keypoints for a fair comparison."""
 
     samples: int
     seed: int
@@ -81,9 +81,7 @@ def run(
     jobs: int = 0,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Recognition:
-    """`samples` of every experiment and kind of roof, of up to `pairs` pairs; jobs: processes, 0: all cores, without effect on
-    the result.
-    """
+    """`samples` of every experiment and kind of roof, `pairs` pairs at most; jobs: processes, 0: all cores."""
     wanted = [(e, r, seed, k, pairs) for e in experiments for r in roofs for k in range(samples)]
     trials: list[Trial] = []
     with pool(jobs or None, _begin) as workers:
@@ -125,7 +123,7 @@ def _percentile(values: Iterable[float], percent: float) -> float | None:
 
 
 def _begin() -> None:
-    """Of a process: one thread, and everything compiled before anything is timed."""
+    """One thread a process; everything is compiled before timing."""
     cv2.setNumThreads(1)
     sample = draw("accuracy", "painted", 0, 0)
     ask(sample, sift_points(sample.left), timed=True, pairs=1)

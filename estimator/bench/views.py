@@ -59,9 +59,7 @@ class Reference:
 
 @dataclass(frozen=True)
 class Sample:
-    """scene: truth, map and rig with errors; target: the landmark in question; seen: visible share of its roof; numbers: of the
-    draw.
-    """
+    """scene: truth, map and rig with errors; target: the landmark; seen: visible share of its roof; numbers: of the draw."""
 
     numbers: tuple[int, ...]
     scene: Scene
@@ -81,7 +79,7 @@ class Sample:
 
 
 def draw(experiment: Experiment, roof: Roof, seed: int, number: int, attempt: int = 0) -> Sample:
-    """Sample `number` of a run; worlds and poses are drawn until one shows what the experiment needs."""
+    """Sample `number` of a run; worlds and poses are drawn until one fits the experiment."""
     numbers = (seed, EXPERIMENTS.index(experiment), ROOFS.index(roof), number, attempt)
     rng = np.random.default_rng(numbers)
     scene, p_n, R_nb, seen = _shown(experiment, roof, rng)
@@ -92,7 +90,7 @@ def draw(experiment: Experiment, roof: Roof, seed: int, number: int, attempt: in
 
 
 def later(sample: Sample) -> Sample:
-    """The next pair: some way further on, by an odometry that errs little, so the prior errs as before."""
+    """The next pair, farther on by accurate odometry: the prior keeps its error."""
     numbers = (*sample.numbers, 1)
     rng = np.random.default_rng(numbers)
     way, slip = rng.normal(size=3) * _WAY_SIGMA_M, rng.normal(size=6) * _SLIP_SIGMA
@@ -105,7 +103,6 @@ def later(sample: Sample) -> Sample:
 
 
 def _shown(experiment: Experiment, roof: Roof, rng: np.random.Generator) -> tuple[Scene, Array, Array, dict[str, float]]:
-    """A scene and a pose that show what the experiment needs, and the shares of the landmarks that may be asked for."""
     while True:
         world = _scene(experiment, roof, rng)
         for _ in range(_POSES):
@@ -125,13 +122,13 @@ def _scene(experiment: Experiment, roof: Roof, rng: np.random.Generator) -> Scen
 
 
 def _measured_colours(scene: Scene, rng: np.random.Generator) -> Scene:
-    """A map whose colours were taken from an image, each channel within some 4 %; what is gone keeps what it had."""
+    """Colours from an image, each channel within about 4 %."""
     appearances = {m.id: appearance for m, appearance in zip(scene.world.landmarks, scene.world.appearances, strict=True)}
     return scene._replace(map=_recoloured(scene.map, {k: _noted(appearance, rng) for k, appearance in appearances.items()}))
 
 
 def _described(scene: Scene) -> Scene:
-    """A map of words: the nearest colour that has a name, where a roof was painted at all."""
+    """A map with the nearest named colour of each painted roof."""
     words = [w for w in map(colours.parse, _WORDS) if w is not None]
     named = {
         m.id: min(words, key=lambda w, c=m.colour_bgr: math.dist(w, c))  # type: ignore[misc]
@@ -156,7 +153,6 @@ def _with(m: Landmark, outline_n: Array, colour: colours.Colour | None) -> Landm
 
 
 def _one_texture(scene: Scene, rng: np.random.Generator) -> Scene:
-    """Every landmark gets the same roof in one of five sizes; one in five is taken off the map and stays in the world."""
     appearance = scene.world.appearances[int(rng.integers(len(scene.world.appearances)))]
     colour = _noted(appearance, rng)
     mapped = {m.id: m for m in scene.map}
@@ -177,20 +173,18 @@ def _one_texture(scene: Scene, rng: np.random.Generator) -> Scene:
 
 
 def _pose(experiment: Experiment, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Somewhere in the middle of the world, level to a few degrees."""
     roll, pitch = rng.normal(0.0, math.radians(3.0), 2)
     p_n = np.array([*rng.uniform(-25.0, 25.0, 2), -rng.uniform(*_HEIGHTS_M[experiment])])
     return p_n, so3.matrix(so3.from_euler(float(roll), float(pitch), float(rng.uniform(-math.pi, math.pi))))
 
 
 def _whole(scene: Scene, p_n: Array, R_nb: Array) -> tuple[Scene, dict[str, float]] | None:
-    """Landmarks of the map whose roofs lie wholly in the left image."""
     seen = {m.id: 1.0 for m in scene.world.landmarks if whole(scene.rig, p_n, R_nb, m, _EDGE_PX)}
     return (scene, seen) if len(seen) >= _LEAST else None
 
 
 def _partly(scene: Scene, p_n: Array, R_nb: Array, rng: np.random.Generator) -> tuple[Scene, dict[str, float]] | None:
-    """Landmarks of which the border, or a tower before them, leaves 30 to 70 %; those seen better are no landmarks here."""
+    """Landmarks of which the border or a tower hides 30 to 70 %; those seen better leave the map."""
     if rng.random() < 0.5:
         scene = scene._replace(world=hide(scene.world, scene.rig, p_n, R_nb, rng))
     elif sum(cut(scene.rig, p_n, R_nb, m) for m in scene.world.landmarks) < _LEAST:
@@ -212,7 +206,6 @@ def _without(scene: Scene, names: set[str]) -> Scene:
 
 
 def _conditions(rng: np.random.Generator) -> Conditions:
-    """A day like others: light, a cast, some blur, some noise."""
     angle, way = rng.uniform(0.0, math.pi), rng.uniform(0.0, 1.5)
     cast = tuple(rng.uniform(0.96, 1.04, 3).tolist())
     return Conditions(
@@ -226,7 +219,7 @@ def _conditions(rng: np.random.Generator) -> Conditions:
 
 
 def _reference(world: World, target: str, height_m: float, rng: np.random.Generator) -> Reference:
-    """The landmark in the middle of an image from above: at another hour, from another height, turned."""
+    """The landmark in the middle of an image from above, at another hour and height, turned."""
     mark = next(m for m in world.landmarks if m.id == target)
     hour = Sun(rng.uniform(-math.pi, math.pi), math.radians(rng.uniform(30.0, 65.0)))
     p_nc = np.array([*mark.centre_n, -height_m * rng.uniform(0.8, 1.25)])
@@ -241,7 +234,6 @@ def _reference(world: World, target: str, height_m: float, rng: np.random.Genera
 
 
 def _prior(p_n: Array, R_nb: Array, rng: np.random.Generator) -> Prior:
-    """The filter's prior, drawn about the truth."""
     error = rng.normal(size=6) * PRIOR_SIGMA
     q = so3.multiply(so3.quat_exp(-error[3:]), so3.from_matrix(np.ascontiguousarray(R_nb)))
     return Prior(p_n - error[:3], so3.normalise(q), np.diag(PRIOR_SIGMA**2))

@@ -1,5 +1,4 @@
-"""One file a command: arguments, the call, what is printed. The work itself is done by the modules they call.
+"""One file a command: arguments, the call, output.
 
-Heavy imports stand inside the functions, so that `landfix --help` is fast. What commands share is in `common`.
-May import everything but cli.
+Heavy imports stand inside the functions, for a fast `landfix --help`. May import everything but cli.
 """

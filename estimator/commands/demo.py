@@ -52,7 +52,6 @@ def command(
 
 
 def _print_verdict(evaluation: "Evaluation") -> None:
-    """The few figures that say whether it worked."""
     rows = []
     if evaluation.accuracy:
         rows.append(("error with fixes, RMSE", f"{evaluation.accuracy.aided_position_m.rmse:.2f} m"))

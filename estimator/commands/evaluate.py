@@ -84,7 +84,6 @@ def _evaluate(
 
 
 def _readable(logs: list[Path], truth: str, burn_in_s: float, outage_s: float | None) -> "list[Evaluation]":
-    """The evaluations of those that can be read; of the others a line on stderr."""
     from logs.store.reader import LogError
 
     evaluations = []

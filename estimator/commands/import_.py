@@ -65,7 +65,6 @@ def command(
 
 
 def _kind_and_source(recording: list[str]) -> tuple[str, Path]:
-    """Of `KIND RECORDING`, or of RECORDING alone, whose kind is found."""
     from logs.importers import KINDS, ROSBAG, kind_of
 
     if len(recording) == 1:
@@ -77,7 +76,6 @@ def _kind_and_source(recording: list[str]) -> tuple[str, Path]:
 
 
 def _print_topics(source: Path, topics: "tuple[TopicRow, ...]") -> None:
-    """What becomes of each topic of a bag."""
     rows = [
         (row.topic, row.type.replace("/msg/", "/"), str(row.messages), f"{row.rate_hz:.3g} Hz", row.use or "-", row.remark)
         for row in topics

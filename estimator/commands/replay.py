@@ -81,7 +81,6 @@ def command(
 
 
 def _attachments(config: "Config", folder: Path) -> "list[Attachment]":
-    """Rig and map that the configuration names, for whoever draws with the output; missing ones are reported."""
     from estimator.config import ConfigError
     from estimator.publish import file_attachment
 
@@ -95,7 +94,6 @@ def _attachments(config: "Config", folder: Path) -> "list[Attachment]":
 
 
 def _add_smoothed(log: Path, config: "Config") -> None:
-    """The log with the smoothed flight in it, in its place once it is whole."""
     from estimator.replay.smooth_log import write_smoothed
 
     whole = log.with_name(f".{log.name}.smoothing")
@@ -126,7 +124,6 @@ def print_summary(summary: "ReplaySummary", out: Path) -> None:
 
 
 def _outage(summary: "ReplaySummary") -> str:
-    """The longest time without an absolute fix, as `landfix evaluate` has it."""
     if not summary.estimates:
         return "-"
     s = summary.longest_without_absolute_s
@@ -134,12 +131,10 @@ def _outage(summary: "ReplaySummary") -> str:
 
 
 def _first_estimate(summary: "ReplaySummary") -> str:
-    """When it came, or why none did."""
     if summary.first_estimate_s is None:
         return f"none: {summary.waited_for}" if summary.waited_for else "none"
     return f"{summary.first_estimate_s:.1f} s after the log's first message"
 
 
 def _reasons(reasons: dict[str, int]) -> str:
-    """Counts of reasons as text, the most frequent first: 120 fused, 3 gated."""
     return ", ".join(f"{n} {reason}" for reason, n in sorted(reasons.items(), key=lambda item: -item[1]))

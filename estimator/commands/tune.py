@@ -78,7 +78,6 @@ def command(
 
 
 def _print(result: "TuneResult", out: Path) -> None:
-    """What a person reads."""
     from estimator.tools.tune.search import warning
 
     rows = [_row("before", result.before), _row("tuned", result.after)]

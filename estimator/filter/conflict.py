@@ -1,14 +1,13 @@
-"""A receiver that the estimate rejects for long: what is left of the chance that the receiver is right and the fixes are not.
+"""A receiver in lasting conflict with the estimate: the remaining chance that the map is wrong.
 
-The filter has decided for the fixes of landmarks, because being spoofed is the commoner fault. But a map may stand in the wrong
-place: a datum or a geoid is mixed up, an origin was taken from another tool. Nothing on board tells the two apart, so the
-published covariance goes on to allow for the second, as a mixture of two means does (Bar-Shalom, Li, Kirubarajan 2001, 1.4.16):
+The filter follows the landmarks, for spoofing is the commoner fault. But datum, geoid or origin of the map may be wrong, and
+nothing on board tells the two apart. So the published covariance keeps (mixture of two means; Bar-Shalom, Li, Kirubarajan 2001,
+1.4.16)
 
     P <- P + w (S + d d^T),     w = w_0 exp(-(|d| / d_0)^2)
 
-d (3,) [m]: from the estimate to the position of the receiver; S (3, 3) [m^2]: the covariance of that position; w_0: the share of
-such conflicts in which the map is wrong; d_0 [m]: by how much maps are wrong. Beyond it the receiver alone is at fault, so a
-spoofed receiver does not spoil the covariance for good.
+d (3,) [m]: estimate to the receiver's position; S (3, 3) [m^2]: its covariance; w_0: share of conflicts with a wrong map; d_0
+[m]: size of map errors, which bounds the effect of a spoofed receiver.
 """
 
 import math
@@ -30,7 +29,7 @@ _NEAR = 0.1  # share of the positions of a receiver that is right which are near
 
 
 class Apart(NamedTuple):
-    """A source has been elsewhere than the estimate since since_ns, by off (3,) [m] of covariance s (3, 3) at last_ns."""
+    """A source away from the estimate since since_ns, by off (3,) [m] of covariance s (3, 3) at last_ns."""
 
     since_ns: int
     last_ns: int
@@ -61,16 +60,16 @@ class Apart(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Conflicts:
-    """apart: sources that persist in disagreeing with the estimate, by topic.
+    """apart: sources in lasting disagreement with the estimate, by topic.
 
-    contrary_ns: when a velocity of a receiver was last rejected, by the topic of its positions.
+    contrary_ns: last rejected velocity of a receiver, by the topic of its positions.
     """
 
     apart: dict[str, Apart] = field(default_factory=dict)
     contrary_ns: dict[str, int] = field(default_factory=dict)
 
     def compared(self, aid: Aid, z: Measurement, position_n: Array, *, disagrees: bool, lingers: bool = False) -> "Conflicts":
-        """With a reading beside the estimate at position_n (3,) [m]; lingers: a conflict goes on until the source is near."""
+        """After a reading, estimate at position_n (3,) [m]; lingers: a conflict lasts until the source is near."""
         before = self.apart.get(aid.topic)
         if (disagrees or (lingers and before)) and isinstance(z, Position | Pose) and len(z.z_n) == len(z.rows[:_XYZ]):
             slow = sum(error.covariance for error in aid.slow_errors if len(error.covariance) == _XYZ)
@@ -91,7 +90,7 @@ class Conflicts:
         return self.compared(aid, z, position_n, disagrees=is_receiver and is_contrary, lingers=is_receiver)
 
     def added(self, *, is_decided: bool) -> Array:
-        """To the covariance of the position, (3, 3). Until one of the sources is decided for, both count."""
+        """Added covariance of the position, (3, 3); both count until a source is decided for."""
         total = np.zeros((_XYZ, _XYZ))
         for apart in self.apart.values():
             if not is_decided:

@@ -1,13 +1,11 @@
-"""Fixes that agree with one another but with no hypothesis: then it is the IMU that is wrong.
+"""Fixes that agree with one another but with no hypothesis: the IMU is wrong.
 
-A false fix does not agree with the next one. False fixes that agree make a believer, which foresees the next. So where not even a
-filter that begins at one fix foresees the next, although the fixes draw a path that a vehicle can fly, the motion between them is
-not what the IMU says: its axes or units are wrong, or it has failed. Two velocities from three positions show whether it can be
-flown:
+False fixes that agree make a follower, which predicts the next. Where even a filter begun at one fix does not predict the next,
+although a vehicle can fly their path, IMU axes or units are wrong, or it has failed. Flyable:
 
     |(p2 - p1) / h2 - (p1 - p0) / h1|  <  a (h1 + h2) / 2 + k sigma (1 / h1 + 1 / h2)
 
-Fixes that are too far apart in time show nothing. A contradiction that lasts for some seconds ends the filter.
+Fixes too far apart in time do not count. A contradiction of some seconds ends the filter.
 """
 
 import math
@@ -31,7 +29,7 @@ _SAME_WAY, _TINY = 0.5, 1e-30  # cosine: two directions at random in six dimensi
 
 
 class Contradiction(NamedTuple):
-    """unforeseen: fixes in a row that nobody has foreseen, since since_ns; last: time [ns] and position (3,) of the last two."""
+    """unforeseen: consecutive unpredicted fixes since since_ns; last: time [ns] and position (3,) of two."""
 
     unforeseen: int = 0
     since_ns: int = 0
@@ -52,11 +50,10 @@ class Contradiction(NamedTuple):
         return self.unforeseen >= _SHOWN_FIXES and (self.last[-1][0] - self.since_ns) * 1e-9 >= _SHOWN_S
 
     def is_late(self, t_ns: int) -> bool:
-        """Whether a fix of t_ns is too far from the last unforeseen one to show anything together with it."""
+        """Whether a fix of t_ns is too late to be compared with the last unpredicted one."""
         return bool(self.last) and (t_ns - self.last[-1][0]) * 1e-9 > _APART_S
 
     def _leads_to(self, t_ns: int, z: Pose | Position) -> bool:
-        """Whether a vehicle can fly from the last two positions to this one."""
         (t1_ns, p1), h2 = self.last[-1], (t_ns - self.last[-1][0]) * 1e-9
         if not 0.0 < h2 <= _APART_S:
             return False
@@ -73,12 +70,12 @@ NO_CONTRADICTION = Contradiction()
 
 
 def direction(nu: Array, s: Array) -> tuple[float, ...]:
-    """An innovation nu (m,) of covariance s (m, m) in units of its sigma, of length 1, (m,)."""
+    """Unit vector (m,) of an innovation nu (m,) of covariance s (m, m) in units of its sigma."""
     scaled = [a / math.sqrt(variance) for a, variance in zip(nu.tolist(), s.diagonal().tolist(), strict=True)]
     length = max(math.hypot(*scaled), _TINY)
     return tuple(a / length for a in scaled)
 
 
 def persists(before: tuple[float, ...], now: tuple[float, ...]) -> bool:
-    """Whether two innovations in a row point the same way: the noise of fixes does not, an IMU that is wrong does."""
+    """Whether two innovations point the same way: those of noise do not, those of a wrong IMU do."""
     return len(before) == len(now) and sum(a * b for a, b in zip(before, now, strict=True)) > _SAME_WAY

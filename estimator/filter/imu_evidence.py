@@ -1,4 +1,4 @@
-"""What the IMU itself shows: rest, the drag of a multirotor, and that a reading repeats itself though the vehicle moves."""
+"""Evidence from the IMU alone: rest, drag of a multirotor, held readings in motion."""
 
 import numpy as np
 
@@ -21,8 +21,8 @@ _NO_RATE = np.zeros(3)
 
 
 class ImuEvidence:
-    """since: when rest began, and the heading then; refuted: how often positions have shown that it moves, since the IMU did;
-    same: what a sensor reads, and since when, by topic.
+    """since: start of the rest, with its heading; refuted: positions showed motion so often since the IMU did; same: last value
+    of a sensor and since when, by topic.
     """
 
     def __init__(self, core: Core) -> None:
@@ -52,7 +52,7 @@ class ImuEvidence:
         return drag.felt(aid, u, config)
 
     def _rest(self, samples: ImuBuffer) -> Rest | Refusal:
-        """The vehicle at rest, as the last second of the IMU shows it and the estimate confirms."""
+        """The vehicle at rest by the last second of IMU, confirmed by the estimate."""
         core = self.core
         rules, u = core.config.rest, core.recent(samples)
         if u is None or not core.is_aligned or core.hypotheses is None or not rest.is_quiet(u):

@@ -1,16 +1,14 @@
-"""The aligning stretch run again, linearised about the trajectory that it led to: an iterated Kalman smoother.
+"""The aligning stretch run again about the trajectory that it led to: an iterated Kalman smoother.
 
-While little is known the errors are too large for a linear filter, and what it does wrong then stays in P. So the measurements
-of the stretch are kept, and when much has been learnt the stretch is run through again. With a trajectory x_k, one state at each
-measurement, and d_k = x_true,k (-) x_k,
+With large errors the filter is inconsistent, and P keeps that. With a trajectory x_k, one state per measurement, and d_k =
+x_true,k (-) x_k,
 
     d_k+1 = c_k + Phi_k d_k + w_k,   c_k = f(x_k) (-) x_k+1,   d_0 ~ N(x_prior (-) x_0, P_prior),   nu_k = H_k d_k + v_k
 
-is linear: a Kalman filter and, backward, a smoother give E[d_k | all nu], the trajectory moves by it, and so on until its end
-stays: Gauss-Newton on the whole stretch (Bell 1994). The prior is that of the first time, so nothing is counted twice.
+is linear: filter and smoother give E[d_k | all nu], the trajectory moves by it until its end stays: Gauss-Newton on the stretch
+(Bell 1994). The prior is that of the first run: nothing counts twice.
 
-Air data are not in the stretch. Of what they have estimated beside the state, s (wind, scale, tilt), a run keeps what it is given
-the state, and puts the new state in. With the old x and P, the new x^ and P^,
+Air data are not in the stretch. Their estimated errors s keep what is known of them given the state; old x, P, new x^, P^:
 
     s^ = s + C (x^ (-) x),   P^_sx = C P^_xx,   P^_ss = P_ss - C P_xs + C P^_xx C^T,   C = P_sx P_xx^-1
 """
@@ -46,7 +44,7 @@ _ATTITUDE = slice(0, 3)  # of these
 
 
 class Taken(NamedTuple):
-    """A measurement of the stretch; gyro_b: the raw rate then; follows: it is fused whatever its distance."""
+    """A measurement of the stretch; gyro_b: raw rate; follows: fused at any distance."""
 
     aid: Aid
     z: Measurement
@@ -56,10 +54,10 @@ class Taken(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """What was known at its start, x (16,) and cov (n, n), slow errors included, and the measurements since.
+    """x (16,) and cov (n, n), slow errors included, at the start, and the measurements since.
 
-    Of the last run: path, its trajectory; sigma (9,) of attitude and biases after it; run_at: the number of measurements then;
-    moved_at: the same of the last run that changed the estimate.
+    Last run: path; sigma (9,) of attitude and biases after it; run_at: number of measurements; moved_at: that of the last run
+    with an effect.
     """
 
     t_ns: int
@@ -78,7 +76,7 @@ class Stretch:
         return cls(known.t_ns, known.x.copy(), known.cov.copy(), known.slow)
 
     def also(self, aid: Aid, z: Measurement, gyro_b: Array, *, follows: bool = False) -> "Stretch":
-        """With one more measurement; not with one whose zero is unknown (a barometer's is found again afterwards)."""
+        """With one more measurement, unless its zero is unknown (a barometer's is found again)."""
         if any(slow.walk is not None for slow in aid.slow_errors):
             return self
         return replace(self, taken=(*self.taken, Taken(aid, z, gyro_b, follows)))
@@ -94,12 +92,12 @@ class Stretch:
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether the filter was right of late: no run has changed it for a fifth of the stretch."""
+        """No run has changed the filter for a fifth of the stretch."""
         return self.run_at >= _CONFIRMED * self.moved_at > 0
 
     @property
     def is_settled(self) -> bool:
-        """Whether the linear filter may go on alone: attitude known, and no change by a run for half of the stretch."""
+        """The linear filter may go on alone: attitude known, no change by a run for half of the stretch."""
         known = self.sigma is not None and bool((self.sigma[_ATTITUDE] < _ATTITUDE_KNOWN).all())
         return known and self.run_at >= 2 * self.moved_at > 0
 
@@ -115,7 +113,7 @@ class Stretch:
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """How the error at a measurement follows from that at the one before: Phi (15, 15), and what was predicted."""
+    """Error transition from the measurement before: Phi (15, 15), and the prediction."""
 
     phi: Array
     mean: Array
@@ -123,9 +121,9 @@ class Link:
 
 
 def relinearise(stretch: Stretch, found: Eskf, samples: ImuBuffer) -> tuple[Eskf, Stretch] | None:
-    """The filter at the last measurement, linearised about the trajectory that leads there; None where that does not converge.
+    """The filter at the last measurement, relinearised, and the stretch with the run; None where it does not converge.
 
-    found: the filter that went through the stretch as it came. Also returned is the stretch with the run noted.
+    found: the filter that processed the stretch in flight.
     """
     path = _extended(stretch, found, samples) if stretch.path else _first_path(stretch, found, samples)
     before = None
@@ -144,9 +142,9 @@ def relinearise(stretch: Stretch, found: Eskf, samples: ImuBuffer) -> tuple[Eskf
 
 
 def with_estimated(end: Eskf, found: Eskf, stretch: Stretch) -> Eskf:
-    """The result of a run, with the blocks of air sensors in `found` that no measurement of the stretch carries.
+    """Add to a run's result the air sensors' blocks of `found` that the stretch does not carry.
 
-    A zero (of a barometer) is found again: kept, it would follow whatever the run makes of the height.
+    Zeros (barometer) are found again: kept, they would follow the run's height.
     """
     if WIND not in found.slow.columns:
         return end
@@ -177,7 +175,7 @@ def _distance2(end: Eskf, x: Array) -> float:
 
 
 def _first_path(stretch: Stretch, found: Eskf, samples: ImuBuffer) -> list[Array]:
-    """The trajectory of the IMU alone, with the biases of `found`, whose attitude at the end is that of `found`."""
+    """Trajectory of the IMU alone with the biases of `found`, ending in its attitude."""
     start = stretch.x.copy()
     start[X.BG], start[X.BA] = found.x[X.BG], found.x[X.BA]
     ended = _moved(stretch.t_ns, start, found.t_ns, samples, found.constants)
@@ -186,7 +184,6 @@ def _first_path(stretch: Stretch, found: Eskf, samples: ImuBuffer) -> list[Array
 
 
 def _extended(stretch: Stretch, found: Eskf, samples: ImuBuffer) -> list[Array]:
-    """The stretch's path, and on to the newest measurement by the IMU alone."""
     path = list(stretch.path)
     known = len(path) - 1
     t_ns = stretch.taken[known - 1].aid.t_ns if known else stretch.t_ns
@@ -197,14 +194,12 @@ def _extended(stretch: Stretch, found: Eskf, samples: ImuBuffer) -> list[Array]:
 
 
 def _moved(t_ns: int, x: Array, to_ns: int, samples: ImuBuffer, constants: Array) -> Array:
-    """f(x): where the IMU leads from x."""
     moved = Eskf(t_ns, x.copy(), np.eye(E.SIZE), constants)
     moved.propagate(samples, samples.first_after(t_ns), to_ns)
     return moved.x
 
 
 def _run(stretch: Stretch, path: list[Array], samples: ImuBuffer, like: Eskf) -> tuple[Eskf, list[Array]]:
-    """One pass: the filter at the end, and the smoothed trajectory."""
     dx = local(path[0], stretch.x)
     cov = carried(stretch.cov, so3.right_jacobian_inverse(dx[E.THETA]))
     run = Eskf(stretch.t_ns, path[0].copy(), cov, like.constants, stretch.slow, like.variance_factor)
@@ -227,7 +222,6 @@ def _run(stretch: Stretch, path: list[Array], samples: ImuBuffer, like: Eskf) ->
 
 
 def _fuse(run: Eskf, dx: Array, taken: Taken) -> Array:
-    """The linear update: the mean dx and the covariance change, the trajectory stays."""
     seen = innovation(run, taken.aid, taken.z, taken.gyro_b)
     nu = seen.nu - seen.h[:, : E.SIZE] @ dx
     distance2, _ = mahalanobis(nu, seen.s)
@@ -237,7 +231,7 @@ def _fuse(run: Eskf, dx: Array, taken: Taken) -> Array:
 
 
 def _smoothed(means: list[Array], covs: list[Array], links: list[Link]) -> list[Array]:
-    """Backward (Rauch, Tung, Striebel 1965): d_k + P_k Phi_k^T P_k+1|k^-1 (d_k+1|N - d_k+1|k); slow errors left out."""
+    """Backward (Rauch, Tung, Striebel 1965): d_k + P_k Phi_k^T P_k+1|k^-1 (d_k+1|N - d_k+1|k); without slow errors."""
     after = means[-1]
     result = [after]
     for mean, cov, link in zip(means[-2::-1], covs[-2::-1], links[::-1], strict=True):
@@ -249,6 +243,5 @@ def _smoothed(means: list[Array], covs: list[Array], links: list[Link]) -> list[
 
 
 def _sigma(found: Eskf) -> Array:
-    """Of attitude and biases, (9,)."""
     sigma: Array = np.sqrt(np.diag(found.cov)[_NONLINEAR])
     return sigma

@@ -1,4 +1,4 @@
-"""Errors that repeat from fix to fix, states behind the 15 of the filter: named blocks of first-order Gauss-Markov processes."""
+"""Errors that repeat from fix to fix, behind the 15 states: named blocks of first-order Gauss-Markov processes."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -10,10 +10,9 @@ from models.state import E
 
 
 class SlowErrors(NamedTuple):
-    """columns: where a block stands in P, the one that was used last behind the others; tau_s, psd, mean: (k,) of all;
+    """columns: of each block in P, the last used behind the others; tau_s, psd, mean: (k,) of all;
 
-    psd: variance per second of the white noise that drives it, 2 sigma^2 / tau where sigma shall stay, of tau s; estimated: (k,)
-    1 where it is corrected, 0 where it is considered.
+    psd: driving variance per second, 2 sigma^2 / tau for a steady sigma; estimated: (k,) 1 where corrected, 0 where considered.
     """
 
     columns: dict[str, slice]
@@ -74,7 +73,7 @@ class SlowErrors(NamedTuple):
         return SlowErrors(columns, self.tau_s, self.psd, self.mean, self.estimated)
 
     def oldest(self, kind: str, most: int) -> str | None:
-        """Of the blocks called kind/..., the one that was not used for longest, where there are `most` or more of them."""
+        """The least recently used block called kind/..., where there are `most` or more."""
         same = [name for name in self.columns if name.rpartition("/")[0] == kind] if kind else []
         return same[0] if len(same) >= most else None
 

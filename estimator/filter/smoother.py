@@ -1,4 +1,4 @@
-"""The whole flight looked at afterwards: forward through the tracker as in flight, then backward (fixed-interval smoothing).
+"""Fixed-interval smoothing of a flight: forward through the tracker as in flight, then backward.
 
 With x_k|k, P_k|k filtered, x_k+1|k, P_k+1|k predicted and Phi_k the error transition between two nodes,
 
@@ -6,13 +6,9 @@ With x_k|k, P_k|k filtered, x_k+1|k, P_k+1|k predicted and Phi_k the error trans
     x_k|N = x_k|k (+) C_k (x_k+1|N (-) x_k+1|k)
     P_k|N = P_k|k + C_k (P_k+1|N - P_k+1|k) C_k^T                                      (Rauch, Tung, Striebel 1965)
 
-on the manifold: (+) and (-) are retract and local, and a covariance moves with the state it belongs to (Sola 2017, eq. 285-287).
-
-A flight falls into segments, and nothing is smoothed from one into another: where the alignment ends, where the IMU was missing
-(coasting is no model to carry information back through) and where a hypothesis was born that doubts the filter itself. Within
-a segment the nodes are the ancestry of the hypothesis that leads at its end: the path that turned out to be right, not the
-one that led at the time. Considered errors (beyond the 15 states) are left out of the gain: the smoothed estimate then is not
-the best possible, and while fixes share a slow error its covariance may be too small.
+on the manifold (Sola 2017, eq. 285-287). Segments are smoothed apart: they end at the alignment, at gaps of the IMU and at the
+birth of a hypothesis that doubts the filter. Nodes are the ancestry of the hypothesis that leads at the segment's end. Considered
+errors are left out of the gain, so the covariance may be too small while fixes share one.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -41,10 +37,10 @@ _FUTURE_NS = 1_000_000_000  # a stamp further ahead of its stream's clock is a b
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Smoothed:
-    """The smoothed flight at n nodes: every aid, and at least every 0.1 s.
+    """n nodes: every aid, and at least every 0.1 s.
 
-    t_ns (n,); nav (n, 16) packed NavState; covariance (n, 15, 15) of the error state; gyro_b (n, 3) angular rate without
-    bias, rad/s; segment (n,) numbers the stretches smoothed as a whole; place: lat_deg, lon_deg, alt_m of n's origin, if known.
+    t_ns (n,); nav (n, 16) packed NavState; covariance (n, 15, 15); gyro_b (n, 3) without bias, rad/s; segment (n,); place:
+    lat_deg, lon_deg, alt_m of the origin.
     """
 
     t_ns: NDArray[np.int64]
@@ -57,9 +53,9 @@ class Smoothed:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Node:
-    """One hypothesis at one instant, all aids of it fused: x (16,), cov (15, 15); link None: a segment begins.
+    """One hypothesis at one instant, aids fused: x (16,), cov (15, 15); link None: a segment begins.
 
-    late_cov: (15, 15) by a delay that the fixes may have; it is no part of what is smoothed.
+    late_cov: (15, 15) of an unknown delay, not smoothed.
     """
 
     t_ns: int
@@ -80,7 +76,7 @@ class Link:
 
 
 def smooth(messages: Iterable[Input], config: FilterConfig, progress: Callable[[float], None] | None = None) -> Smoothed:
-    """Smooth a flight; messages in the order of their arrival, of any lateness; progress is called with the fraction done."""
+    """Smooth a flight; messages in order of arrival; progress gets the fraction done."""
     samples, aids = sort(messages, config)
     tracker = Tracker(
         TrackerConfig(imu=config.imu, coast=config.coast, initialise=config.initialise, origin=Origin.of(config.origin))
@@ -105,7 +101,7 @@ def smooth(messages: Iterable[Input], config: FilterConfig, progress: Callable[[
 
 
 def backward(nodes: Sequence[Node]) -> tuple[Array, Array]:
-    """Smoothed states (n, 16) and covariances (n, 15, 15) of one segment; the last node stays as it was filtered."""
+    """Smoothed states (n, 16) and covariances (n, 15, 15) of one segment."""
     nav, covariance = np.array([node.x for node in nodes]), np.array([node.cov for node in nodes])
     for k in range(len(nodes) - 2, -1, -1):
         link = nodes[k + 1].link
@@ -141,7 +137,7 @@ def sort(messages: Iterable[Input], config: FilterConfig) -> tuple[ImuBuffer, li
 
 
 def _forward(tracker: Tracker, samples: ImuBuffer, aids: list[Aid]) -> Iterator[tuple[float, Node | None]]:
-    """Through all stops in order of time; yields the fraction done and the leading hypothesis' node, None before alignment."""
+    """Through all stops in order of time: fraction done, and the leading node, None before alignment."""
     if not samples.count:
         return
     at = {t_ns: list(group) for t_ns, group in groupby(aids, key=lambda aid: aid.t_ns)}
@@ -158,7 +154,7 @@ def _forward(tracker: Tracker, samples: ImuBuffer, aids: list[Aid]) -> Iterator[
 def _step(
     tracker: Tracker, samples: ImuBuffer, tips: dict[Hypothesis, Node], t_ns: int, aids: list[Aid]
 ) -> dict[Hypothesis, Node]:
-    """Take the tracker to t_ns and through the aids there; tips: each hypothesis' newest node, before and after."""
+    """Take the tracker to t_ns and through the aids there; tips: each hypothesis' newest node."""
     index, from_ns = samples.first_after(tracker.core.t_ns), tracker.core.t_ns
     missing = _imu_missing(samples, from_ns, t_ns, tracker.core.config.coast.gap_s)
     phis = {} if missing else {m: _transition(m, samples, index, t_ns) for m in tips}
@@ -179,13 +175,13 @@ def _step(
 def _of_parents(
     members: list[Hypothesis], links: dict[Hypothesis, Link], state_before: dict[bytes, Hypothesis]
 ) -> dict[Hypothesis, Link]:
-    """What a newborn shares with the hypothesis whose state it was born with; one that was born widened shares nothing."""
+    """Links of the newborn from their parents; none to one that was born widened."""
     born = {m: state_before.get(m.filter.x.tobytes()) for m in members if m not in links}
     return {m: links[parent] for m, parent in born.items() if parent is not None}
 
 
 def _segments(leaders: list[Node]) -> Iterator[list[Node]]:
-    """The flight in order of time, each segment the ancestry of the hypothesis that led at its end."""
+    """Segments in order of time, each the ancestry of the hypothesis that led at its end."""
     segments: list[list[Node]] = []
     left = len(leaders)
     while left:
@@ -205,7 +201,6 @@ def _transition(member: Hypothesis, samples: ImuBuffer, index: int, to_ns: int) 
 
 
 def _imu_missing(samples: ImuBuffer, from_ns: int, to_ns: int, gap_s: float) -> bool:
-    """Whether the motion model has to coast between from_ns and to_ns."""
     begin, end = samples.first_after(from_ns) - 1, samples.first_after(to_ns - 1)
     if begin < 0 or end >= samples.count:
         return True
@@ -213,14 +208,13 @@ def _imu_missing(samples: ImuBuffer, from_ns: int, to_ns: int, gap_s: float) -> 
 
 
 def _rates(samples: ImuBuffer, t_ns: NDArray[np.int64]) -> Array:
-    """Raw angular rates (n, 3) at t_ns."""
     n, gyro = samples.count, slice(0, 3)
     at = [imu.interpolate(samples.t_ns, samples.u, n, samples.first_after(t), t)[gyro] for t in t_ns.tolist()]
     return np.array(at).reshape(-1, 3)
 
 
 def _inverse(cov: Array) -> Array:
-    """P^-1, by way of correlations: metres and rad/s differ by many powers of ten."""
+    """P^-1 by way of correlations: units differ by many powers of ten."""
     sigma = np.sqrt(np.diag(cov))
     scale = np.outer(sigma, sigma)
     inverse: Array = np.linalg.pinv(cov / scale, hermitian=True) / scale

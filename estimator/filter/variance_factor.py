@@ -1,17 +1,13 @@
-"""The variance of unit weight: how much larger the errors are than P and R say, learnt from the innovations.
+"""Variance of unit weight: ratio of actual errors to P and R, from innovations.
 
     r_k = nu^T S^-1 nu / m_50(m),   f_k = max(median(r_k-6 ... r_k), 1 + (f_k-1 - 1) exp(-dt / tau))
 
-m_50(m): the median of chi-square with m degrees of freedom; the median of r counts where 4 % of good readings at most are above
-it (2.5 for six components, 3.5 for three: the median of seven good ones is there in one case of 10,000). The covariance of the
-state's error is f P, that of an innovation f S. The gain K = P H^T S^-1 does not depend on f: where the world differs from the
-model, the estimate is that of an ungated filter, while gates and published covariance remain consistent. What is published
-keeps f for four times as long: a frame that drifts, or a mount, has errors that no later innovation shows. The median does not
-follow three outliers of seven. Once the innovations have been usual for 20 readings in a row, a ratio that is larger than noise
-is a false fix, and does not count; before, it is rather the model that is wrong. f is never below 1. Where several sources are
-heard, it is the least of their medians: an excess that all show is the filter's, one that a single source shows is a conflict,
-and left to the hypotheses.
-(A-posteriori variance factor of least squares: Koch 1999, Parameter Estimation and Hypothesis Testing, sec. 3.2.5.)
+m_50(m): median of chi-square with m degrees of freedom. Covariances of the state and innovation are f P and f S; K does not
+depend on f: the estimate is that of an ungated filter, gates and published covariance stay consistent. The median counts above
+the level that 4 % of good readings exceed, and ignores three outliers of seven. After 20 usual readings in a row a ratio beyond
+noise is a false fix and does not count. f >= 1; published, it lasts four times as long, since drift of frame or mount shows in no
+later innovation. Of several sources the least median counts: an excess of one is a conflict, left to the hypotheses. (Koch 1999,
+Parameter Estimation and Hypothesis Testing, sec. 3.2.5.)
 """
 
 import math
@@ -29,7 +25,7 @@ _SILENT_S = 10.0  # a source that is silent for longer has no say
 
 
 class Recent(NamedTuple):
-    """The newest ratios r of a topic, the last at t_ns, and the largest median that is usual."""
+    """Newest ratios r of a topic, the last at t_ns, and the largest usual median."""
 
     t_ns: int
     ratios: tuple[float, ...]
@@ -45,10 +41,7 @@ class Recent(NamedTuple):
 
 
 class VarianceFactor(NamedTuple):
-    """value: f at t_ns; recent: by topic; usual: readings in a row whose median is usual, until they are enough.
-
-    lasting: f of what is published.
-    """
+    """value: f at t_ns; recent: by topic; usual: consecutive readings with a usual median, capped; lasting: published f."""
 
     value: float = 1.0
     t_ns: int = 0
@@ -57,9 +50,9 @@ class VarianceFactor(NamedTuple):
     lasting: float = 1.0
 
     def also(self, topic: str, t_ns: int, distance2: float, dof: int, largest: float | None = None) -> "VarianceFactor":
-        """With one more innovation, of squared Mahalanobis distance distance2 with f = 1, unless r is larger than `largest`.
+        """With one more innovation, of squared Mahalanobis distance distance2 at f = 1; r above `largest` does not count.
 
-        None: than noise, once the innovations have been usual for a while.
+        None: noise level, after usual innovations.
         """
         by_topic = {name: r for name, r in self.recent if name == topic or (t_ns - r.t_ns) * 1e-9 < _SILENT_S}
         if largest is None:

@@ -1,4 +1,4 @@
-"""What vision needs from disk: the rig file, the landmark map and the map's image that the configuration names."""
+"""Vision's files: rig, landmark map and the map's image of the configuration."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from models.messages import Vec3
 
 
 def load_processor(rig_file: Path, map_file: Path | None, origin: Vec3 | None, image: ImageFile | None = None) -> Processor:
-    """Vision with these files, in the frame at `origin` (None: the map's own). Raises ConfigError, which names the file."""
+    """Vision with these files, in the frame at `origin` (None: the map's). Raises ConfigError."""
     try:
         if map_file:
             landmarks = map_store.load(map_file, Defaults(origin=origin))
@@ -41,7 +41,7 @@ def load_odometry(rig_file: Path) -> OdometryProcessor:
 
 
 def map_origin(map_file: Path | None, image: ImageFile | None = None) -> Vec3:
-    """Where the frame of a map lies, of its landmarks or else of its image. Raises ConfigError."""
+    """Origin of a map: of its landmarks, else of its image. Raises ConfigError."""
     try:
         return map_store.load(map_file).origin if map_file else _image_origin(image)
     except MapError as error:

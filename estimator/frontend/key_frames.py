@@ -1,8 +1,8 @@
-"""The pairs that visual odometry compares, and the predicted motion between them, integrated from velocity and rate.
+"""Pairs for visual odometry, and the predicted motion between them.
 
     pairs -> KeyFrames -> OdometryRequest (with the motion of Track) -> odometry.OdometryProcessor -> OdometryDelta or a report
 
-The key frame of a step is the later pair of the step before, answered or not: increments never overlap.
+A step begins at the later pair of the step before: increments never overlap.
 """
 
 from typing import Annotated, Final, TypeAlias
@@ -51,7 +51,7 @@ class KeyFrames:
         self._key: Pair | None = None
 
     def request(self, pair: Pair, track: Track, arrived_ns: int) -> tuple[OdometryRequest, Pair] | None:
-        """The request whose later pair this is, and its earlier pair; None where it is not due, or there is no prediction."""
+        """The request with this later pair, and its earlier pair; None where not due or without prediction."""
         key = self._key
         if key is not None and 0 <= pair.t_ns - key.t_ns < self._interval_ns:
             return None
@@ -62,7 +62,7 @@ class KeyFrames:
         return None if request is None else (request, key)
 
     def _predicted(self, first: Pair, second: Pair, track: Track, arrived_ns: int) -> OdometryRequest | None:
-        """dp_b = R_0^T int v dt and dq = prod exp(w dt); the velocity's covariance grows with the time, the rate's too."""
+        """dp_b = R_0^T int v dt, dq = prod exp(w dt); covariances grow with time."""
         t0_ns, t1_ns = first.t_ns, second.t_ns
         estimates = track.between(t0_ns, t1_ns)
         if not estimates:
@@ -98,7 +98,6 @@ class KeyFrames:
         )
 
     def _height(self, down_m: float, variance: float) -> tuple[float, float]:
-        """Above the ground, and its 1-sigma; (0, 0): not known."""
         if self._config.ground_m is None:
             return 0.0, 0.0
         height = -down_m - self._config.ground_m

@@ -1,4 +1,4 @@
-"""When landmarks are published for viewers: at the start, when those in use change, and when the vehicle has moved on."""
+"""Landmarks for viewers: sent at the start, on changes of those in use, and after motion."""
 
 from typing import Final
 
@@ -16,7 +16,7 @@ _LEAST_NS: Final = 1_000_000_000  # between two messages
 
 
 class LandmarkBoard:
-    """Publishes the landmarks within 300 m, at most 300, at most once a second, and only what is new."""
+    """Landmarks within 300 m, at most 300, at most once a second, only changes."""
 
     def __init__(self, landmarks: LandmarkMap) -> None:
         self._landmarks = landmarks
@@ -25,7 +25,7 @@ class LandmarkBoard:
         self._place = np.zeros(3)
 
     def news(self, t_ns: int, p_n: Array, used: frozenset[str]) -> list[Encoded]:
-        """The message if one is due; p_n: the estimated position, used: ids of the landmarks of the newest fix."""
+        """The message if due; p_n: estimated position, used: landmark ids of the newest fix."""
         if self._sent_ns is not None:
             same = used == self._used and np.linalg.norm((p_n - self._place)[:2]) <= _MOVED_M
             if same or 0 <= t_ns - self._sent_ns < _LEAST_NS:

@@ -1,4 +1,4 @@
-"""Visual odometry behind a door of messages: a request and its four images in, the increment or a report of why not out."""
+"""Visual odometry as messages: a request with four images in, an increment or a report out."""
 
 from typing import Final
 
@@ -19,7 +19,7 @@ _KEPT_FRAMES: Final = 2
 
 
 class OdometryProcessor:
-    """From request and images to messages. Rectified frames are kept for the next step: a cache, no memory."""
+    """Requests and images to messages; caches the rectified frames of the last step."""
 
     def __init__(self, rig: StereoRig) -> None:
         cv2.setNumThreads(1)

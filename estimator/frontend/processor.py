@@ -37,7 +37,7 @@ class _Look(NamedTuple):
 
 
 class Processor:
-    """Vision, from request and images to messages. Each run of requests has recognisers of its own: memory begins anew."""
+    """Requests and images to messages; each run of requests starts with empty recognisers."""
 
     def __init__(
         self, rig: StereoRig, landmarks: LandmarkMap, known: MapImage | None = None, config: RecogniserConfig | None = None
@@ -57,10 +57,7 @@ class Processor:
         return round(self._rig.time_offset_s * 1e9)
 
     def process(self, request: VisionRequest, images: tuple[Shot | None, Shot | None]) -> list[Encoded]:
-        """What the images show: the report, the fix if there is one; for viewers the landmarks where that is news, the cameras.
-
-        Never raises.
-        """
+        """The report, the fix if any; for viewers changed landmarks and the cameras. Never raises."""
         if request.run != self._run:
             self._run = request.run
             self._recognisers = Recognisers(self._rig, self._landmarks, self._known, self._config)
@@ -81,9 +78,7 @@ class Processor:
         return [*encode(report), *([encode_input(result.fix)] if result.fix else []), *news]
 
     def draw(self, mode: str) -> Encoded | None:
-        """The last image with the map drawn in from the estimate, residuals of the landmarks identified so far; or None. Never
-        raises.
-        """
+        """The last image with the map drawn from the estimate and residuals, or None. Never raises."""
         if self._last is None or self._began_ns is None:
             return None
         request, left, right, identified = self._last
@@ -103,7 +98,7 @@ class Processor:
 
 
 def _decoded(shot: Shot | None, camera: CameraModel) -> Pixels | str | None:
-    """The image at the camera's size, where its aspect ratio fits, or why it cannot be read."""
+    """The image at the camera's size, or why it cannot be used."""
     if shot is None:
         return None
     try:

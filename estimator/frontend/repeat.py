@@ -27,9 +27,7 @@ class Asked(NamedTuple):
 
 
 class Repeat(ABC):
-    """Puts answers among the records of a log; topics: of left and right images; request_topic: repeated; counts: text for the
-    screen.
-    """
+    """Puts answers among a log's records; topics: left, right images; request_topic: repeated; counts: text."""
 
     counts: object
 
@@ -52,19 +50,19 @@ class Repeat(ABC):
 
     @abstractmethod
     def _is_answer(self, record: Record) -> bool:
-        """Whether our own answer takes the place of this record."""
+        """Whether our answer replaces this record."""
 
     @abstractmethod
     def _again(self, record: Record) -> Iterator[Record]:
-        """The answer that takes the recorded one's place."""
+        """The answer that replaces the record."""
 
     @abstractmethod
     def _keep(self, record: Record) -> None:
-        """A request in the log."""
+        """Keep a logged request."""
 
     @abstractmethod
     def _ask(self, pair: Pair, arrived_ns: int) -> Asked | None:
-        """A request of its own, with its answers; None: none about this pair."""
+        """A new request with its answers; None: none for this pair."""
 
     def note(self, outputs: Iterable[Output]) -> None:
         """What Fusion said: the priors of requests to come."""
@@ -102,7 +100,6 @@ class Repeat(ABC):
                 self._due.append((record.log_time_ns + _LATENCY_NS, asked.answers))
 
     def _pair(self, left: ImageName | None, right: ImageName | None) -> Pair | None:
-        """The images of these names; None where one is not in the log."""
         found = Pair(*(self._shots.get(name) if name else None for name in (left, right)))
         return None if (left and found.left is None) or (right and found.right is None) else found
 

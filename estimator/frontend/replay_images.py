@@ -1,4 +1,4 @@
-"""A replay that searches for landmarks in the images again, instead of taking the fixes in the log."""
+"""Replay that searches the images for landmarks again, in place of the logged fixes."""
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
@@ -24,7 +24,7 @@ _UNSTAMPED: Final = frozenset({LANDMARKS_TOPIC, STATIC_TOPIC})  # whose stamps a
 
 
 class ImageCounts(msgspec.Struct):
-    """processed: requests; fixes: their number; same, different: compared with the log's fixes; missing: images not in it."""
+    """processed: requests; same, different: compared with the log's fixes; missing: images."""
 
     processed: int = 0
     fixes: int = 0
@@ -39,7 +39,7 @@ class ImageCounts(msgspec.Struct):
 
 
 class ImageReplay(Repeat):
-    """Puts the answers of vision among the records of a log. left, right: topics of the images."""
+    """Vision's answers among the records of a log; left, right: image topics."""
 
     counts: ImageCounts
 
@@ -57,7 +57,7 @@ class ImageReplay(Repeat):
         return record.topic in _ANSWERS or (record.topic == STATIC_TOPIC and is_own_static(record.data))
 
     def _keep(self, record: Record) -> None:
-        """Requests are answered in their order, when the fix or report of one is needed: all images have been read by then."""
+        """Answers wait until needed, when all their images have been read."""
         self._asked.append(decode_vision_request(record.data, record.log_time_ns))
 
     def _ask(self, pair: Pair, arrived_ns: int) -> Asked | None:
@@ -69,7 +69,7 @@ class ImageReplay(Repeat):
         return Asked(message, self._counted(self._processor.process(written, (pair.left, pair.right))))
 
     def _again(self, record: Record) -> Iterator[Record]:
-        """The answer that takes the recorded one's place; what another program sent under our name stays."""
+        """Answer in place of ours in the log; other programs' messages stay."""
         t_ns = self._answered_ns if record.topic in _UNSTAMPED else stamp_of(record.data)  # it follows report and fix
         while t_ns is not None and any(r.t_ns == t_ns for r in self._asked):
             self._answer(self._asked.popleft())

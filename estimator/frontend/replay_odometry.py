@@ -1,4 +1,4 @@
-"""A replay that measures the motion between the recorded pairs again, instead of taking the increments in the log."""
+"""Replay that measures the motion between recorded pairs again, in place of the logged increments."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -19,7 +19,7 @@ _Answers: TypeAlias = dict[str, Encoded]
 
 
 class OdometryCounts(msgspec.Struct):
-    """steps: requests; measured: increments; same, different: compared with those in the log; missing: images not in it."""
+    """steps: requests; measured: increments; same, different: compared with the log's; missing: images."""
 
     steps: int = 0
     measured: int = 0
@@ -34,7 +34,7 @@ class OdometryCounts(msgspec.Struct):
 
 
 class OdometryReplay(Repeat):
-    """Puts the answers of visual odometry among the records of a log. topics: of left and right images."""
+    """Visual odometry's answers among the records of a log; topics: left, right images."""
 
     counts: OdometryCounts
 

@@ -1,8 +1,8 @@
-"""From images to requests: pairs, with the estimate at their exposure as prior.
+"""Images to requests: pairs, with the estimate at exposure as prior.
 
     images -> Pairing -> VisionRequest (with the prior of Track) -> processor.Processor -> LandmarkFix, VisionReport
 
-The request is in the log, so daemon and replay get the same answers.
+Requests are logged: daemon and replay get the same answers.
 """
 
 from collections import deque
@@ -36,7 +36,7 @@ class VisionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Shot(NamedTuple):
-    """An image as it came, with its header's stamp; t_ns: exposure, on the clock of the estimates."""
+    """An image as received; t_ns: exposure, on the estimates' clock."""
 
     topic: str
     schema: str
@@ -66,7 +66,7 @@ class Pair(NamedTuple):
 
 
 class Pairing:
-    """Pairs images by their stamps, at most most_hz; one without a partner goes alone after a while, at once where `alone`."""
+    """Pairs images by stamps, at most most_hz; one without partner goes alone after a while, at once where `alone`."""
 
     def __init__(self, config: VisionConfig, alone: bool = False) -> None:
         self._alone = alone
@@ -102,7 +102,6 @@ class Pairing:
         return alone
 
     def _paced(self, pair: Pair) -> list[Pair]:
-        """The pair, unless it comes too soon after the last, or before it."""
         if 0 <= pair.t_ns - self._last_ns < self._period_ns or -_SECOND_NS < pair.t_ns - self._last_ns < 0:
             return []
         self._last_ns = pair.t_ns
@@ -125,7 +124,7 @@ class Track:
         return self._estimates[-1].mode if self._estimates else ""
 
     def between(self, t0_ns: int, t1_ns: int) -> list[Estimate]:
-        """The estimates of that time, with those next to its ends, in order; [] where an end is not covered."""
+        """Estimates in and next to the interval, in order; [] where an end is not covered."""
         kept = sorted((e for e in tuple(self._estimates)), key=lambda e: e.t_ns)
         inside = [e for e in kept if t0_ns < e.t_ns < t1_ns]
         before, after = [e for e in kept if e.t_ns <= t0_ns], [e for e in kept if e.t_ns >= t1_ns]
@@ -146,7 +145,7 @@ class Track:
 
 
 def prior_at(estimate: Estimate, t_ns: int) -> tuple[Array, Array, Array]:
-    """p + v dt, R exp(w dt), and the covariance (6, 6) of position and attitude about the axes of n: J P J^T, J = diag(I, R)."""
+    """p + v dt, R exp(w dt), and covariance (6, 6) about the axes of n: J P J^T, J = diag(I, R)."""
     dt = (t_ns - estimate.t_ns) * 1e-9
     x, cov = estimate.nav, estimate.covariance
     q = so3.normalise(so3.multiply(x[X.Q], so3.quat_exp(np.array(estimate.gyro_b) * dt)))

@@ -1,6 +1,6 @@
-"""The augmented-reality test of a flight: the map projected from the estimate against the edges of the images.
+"""Overlay test of a flight: the map projected from the estimate against image edges.
 
-An image's residual is the median over its landmarks of their spread (Residuals.spread_px), beside the expected one.
+Residual of an image: median over landmarks of Residuals.spread_px, beside the expected one.
 """
 
 from collections import defaultdict
@@ -25,8 +25,8 @@ _LEAST_FOUND, _LEAST_POINTS = 0.5, 8  # a landmark is seen if so many points of 
 
 
 class View(NamedTuple):
-    """The estimate at an exposure t_ns: p_n (3,), R_nb (3, 3), covariance (6, 6) about the axes of n; identified: landmarks of
-    its fix.
+    """Estimate at exposure t_ns: p_n (3,), R_nb (3, 3), covariance (6, 6) about the axes of n; identified: landmarks of its
+    fix.
     """
 
     t_ns: int
@@ -69,7 +69,7 @@ class Spread(msgspec.Struct, frozen=True):
 
 
 class LandmarkRow(msgspec.Struct, frozen=True):
-    """One landmark over the flight: images in which it is in view, in which it is seen, and its residuals there."""
+    """One landmark over the flight: images in view, images seen, residuals."""
 
     id: str
     name: str
@@ -99,7 +99,7 @@ class Summary(NamedTuple):
 
 
 class OverlayResult(msgspec.Struct, frozen=True):
-    """All images, and apart those of which vision made a fix; ratio: median of residual / expected; 1: consistent."""
+    """All images, and those with a fix; ratio: median of residual / expected, 1: consistent."""
 
     log: str
     video: str
@@ -124,7 +124,7 @@ class Frame(NamedTuple):
 
 
 class Overlay:
-    """Draws and measures one image after the other; right: those of the right camera; times count from start_ns."""
+    """Draws and measures images in order; right: of the right camera; times from start_ns."""
 
     def __init__(self, rig: StereoRig, landmarks: LandmarkMap, start_ns: int, right: bool = False) -> None:
         self._rig, self._landmarks, self._start_ns, self._right = rig, landmarks, start_ns, right
@@ -143,9 +143,7 @@ class Overlay:
         measured: Collection[str] | None = None,
         draw: bool = True,
     ) -> Frame:
-        """The image, with the map drawn in where asked for; measured: ids of the landmarks that are measured, None: all in
-        view.
-        """
+        """The image, map drawn where wanted; measured: landmark ids, None: all in view."""
         canvas = np.asarray(to_8_bit(image), np.uint8)
         place = self._rig.right_camera_pose if self._right else self._rig.camera_pose
         p_nc, R_nc = place(view.p_n, view.R_nb)
@@ -172,7 +170,7 @@ class Overlay:
         expected: dict[str, float],
         measured: Collection[str] | None,
     ) -> list[Residuals]:
-        """Residuals of the landmarks that are measured and seen, searched for as far as the pose may be off."""
+        """Residuals of measured landmarks, searched for within the pose's uncertainty."""
         off = _SIGMAS * np.median([sigma for sigma in expected.values() if np.isfinite(sigma)] or [0.0])
         reach_px = float(np.clip(off, _LEAST_REACH_PX, _MOST_REACH_PX))
         seen = []
@@ -199,7 +197,6 @@ class Overlay:
 
 
 def _strip(moment: Moment) -> list[str]:
-    """What is written below an image."""
     residual = "residual -" if moment.residual_px is None else f"residual {moment.residual_px:.2f} px"
     expected = "" if moment.expected_px is None else f" (expected {moment.expected_px:.2f})"
     mode = moment.mode.replace("_", " ") or "mode unknown"

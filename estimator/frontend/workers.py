@@ -1,4 +1,4 @@
-"""Worker processes, spawned (forks of a process with threads hang), born with SIGINT blocked: Ctrl-C is for the parent."""
+"""Worker processes: spawned (forks of threaded processes hang), SIGINT blocked: Ctrl-C is the parent's."""
 
 import signal
 import threading
@@ -11,9 +11,7 @@ from multiprocessing.context import SpawnContext, SpawnProcess
 
 class _Worker(SpawnProcess):
     def start(self) -> None:
-        """Start with the parent thread's signal mask; the resource tracker comes first, and Ctrl-C waits until the process is
-        known.
-        """
+        """Start with the parent thread's signal mask, after the resource tracker; Ctrl-C waits until the process is known."""
         self.daemon = True  # terminated with this process
         resource_tracker.ensure_running()
         before, held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}), list[int]()
@@ -40,7 +38,7 @@ SPAWNED = _Workers()
 
 @contextmanager
 def pool(jobs: int | None, begin: Callable[[], None] | None = None) -> Iterator[ProcessPoolExecutor]:
-    """`jobs` processes (None: one a core), each of which calls `begin` first. An exception in the block ends them at once."""
+    """`jobs` processes (None: one a core) that call `begin` first; an exception in the block ends them."""
     others = set(active_children())
     executor = ProcessPoolExecutor(jobs, SPAWNED, begin)
     try:

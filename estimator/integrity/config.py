@@ -1,4 +1,4 @@
-"""The configuration of integrity: alert limits, and how often which fault is expected (docs/integrity.md has the reasons)."""
+"""Configuration of integrity: alert limits and fault rates (reasons: docs/integrity.md)."""
 
 from typing import Annotated, TypeAlias
 

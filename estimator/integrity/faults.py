@@ -1,4 +1,4 @@
-"""The fault modes of protection.py: what may be wrong now, its probability, offset and sigma.
+"""Fault modes of protection.py: probability, offset and sigma.
 
     nominal                  sigma of the leading hypothesis
     a hypothesis             p = exp(w_k) / sum exp(w_j);  offset |x_k - x|, sigma of P_k
@@ -28,7 +28,7 @@ _GATED_SIGMAS: Final = 4.0
 
 
 class Position(NamedTuple):
-    """The newest position of a source against the estimate: innovation and sigma, NED [m], (3,); when it was fused last."""
+    """Newest position of a source against the estimate: innovation and sigma, NED [m], (3,); last fusion."""
 
     kind: str
     t_ns: int
@@ -71,7 +71,7 @@ class Fault(NamedTuple):
 
 
 def faults(now: Snapshot, config: IntegrityConfig) -> list[Fault]:
-    """All modes; probabilities of what the filter weighs sum to 1, those of the rates come on top (a union bound)."""
+    """All modes; the filter's probabilities sum to 1, the rates come on top (union bound)."""
     found = list(_weighed(now))
     nominal = found[0]
     for topic, position in now.positions.items():
@@ -83,7 +83,6 @@ def faults(now: Snapshot, config: IntegrityConfig) -> list[Fault]:
 
 
 def _weighed(now: Snapshot) -> Iterator[Fault]:
-    """The leading hypothesis as nominal, and the others with their weights."""
     sigma_h, sigma_v = _sigmas(now.covariance)
     lead, *others = now.hypotheses.members
     others = [] if now.single else [m for m in others if not _is_spare(m)]
@@ -94,12 +93,11 @@ def _weighed(now: Snapshot) -> Iterator[Fault]:
 
 
 def _is_spare(member: Hypothesis) -> bool:
-    """Kept for a receiver that may be misled, and in no conflict: its weight is a prior, which the configuration gives here."""
+    """Kept for a possibly misled receiver, not in conflict: its prior weight is configured here."""
     return bool(member.without) and not member.benefit
 
 
 def _said(member: Hypothesis, lead: Hypothesis) -> str:
-    """What is wrong with the estimate if this hypothesis is right."""
     refused = sorted(member.doubts.keys() - lead.doubts.keys()), sorted(lead.doubts.keys() - member.doubts.keys())
     if refused[0]:
         return f"{refused[0][0]} fused and false"
@@ -107,7 +105,7 @@ def _said(member: Hypothesis, lead: Hypothesis) -> str:
 
 
 def _of_source(topic: str, position: Position, now: Snapshot, nominal: Fault, config: IntegrityConfig) -> Iterator[Fault]:
-    """One source wrong for long: by any distance, which only another source bounds, and by the kinds that have a bound."""
+    """One source wrong for long: by any distance, bounded by another source, and by faults of bounded size."""
     is_gnss = position.kind == GNSS
     any_size = config.gnss_fault_per_hour if is_gnss else config.fix_fault_per_hour
     lead = now.hypotheses.lead
@@ -138,7 +136,7 @@ def _of_source(topic: str, position: Position, now: Snapshot, nominal: Fault, co
 def _without(
     topic: str, position: Position, now: Snapshot, config: IntegrityConfig
 ) -> Iterator[tuple[float, float, float, float, float]]:
-    """Solutions that do not rest on the source: offset and sigma, horizontal and vertical, and t^2."""
+    """Solutions without the source: offset, sigma, horizontal and vertical, and t^2."""
     lead = now.hypotheses.members[0]
     for member in now.hypotheses.members[1:]:
         if member.without == topic and _is_confirmed(member, topic, now):
@@ -156,20 +154,18 @@ def _without(
 
 
 def _is_confirmed(member: Hypothesis, topic: str, now: Snapshot) -> bool:
-    """Whether another source has been compared with it since it began, as the leading one, which follows the receiver."""
+    """Whether another source was compared with it since its start, as the leading one of its receiver."""
     others = (seen for other, seen in now.positions.items() if other != topic and seen.kind != GNSS)
     return any(seen.t_ns >= member.fused_ns for seen in others)
 
 
 def _separated(name: str, probability: float, member: Hypothesis, now: Snapshot) -> Fault:
-    """The error of the leading hypothesis if `member` is right."""
     n, e, d = (member.filter.x[X.P] - now.hypotheses.lead.x[X.P]).tolist()
     sigma_h, sigma_v = _sigmas(now.variance_factor * member.filter.cov[E.P, E.P])
     return Fault(name, probability, math.hypot(n, e), sigma_h, abs(d), sigma_v)
 
 
 def _moved(nominal: Fault, name: str, probability: float, offset_h: float, offset_v: float) -> Fault:
-    """Nominal errors about an offset."""
     return Fault(name, probability, offset_h, nominal.sigma_h, offset_v, nominal.sigma_v)
 
 
@@ -179,7 +175,7 @@ def _t2(f: Fault) -> float:
 
 
 def _sigmas(P: Array) -> tuple[float, float]:
-    """The largest in the plane, and the vertical one, of a covariance (3, 3)."""
+    """Largest horizontal and vertical sigma of a covariance (3, 3)."""
     (a, b, _), (_, c, _), (_, _, v) = P.tolist()
     largest = 0.5 * (a + c) + math.hypot(0.5 * (a - c), b)
     return math.sqrt(max(largest, 0.0)), math.sqrt(max(v, 0.0))

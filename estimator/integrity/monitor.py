@@ -1,4 +1,4 @@
-"""Protection levels and alert, five times in `time_to_alert_s` with an alert limit, else once in twice that time."""
+"""Protection levels and alert: five times in `time_to_alert_s` with an alert limit, else once in twice that."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -42,7 +42,7 @@ class Monitor:
         self._units = [protection_level(gaussian, self._shares[0], pure, q) for q in (in_plane, one_axis)]
 
     def begin_again(self) -> None:
-        """The clock has stepped, or the alignment begins again: nothing noted holds, and an answer is due."""
+        """After a clock step or a new alignment: forget all, answer at once."""
         self._positions, self._next_ns = {}, None
 
     @property
@@ -52,7 +52,7 @@ class Monitor:
         return "" if last is None else f"{last.state}: {last.reason}" if last.reason else str(last.state)
 
     def note(self, status: AidStatus, position: tuple[tuple[float, ...], tuple[float, ...]] | None) -> None:
-        """What became of a measurement, and its innovation as a position with the sigma, if it is one."""
+        """Note a decision, and its innovation as a position with sigma, if any."""
         if status.kind not in {GNSS, FIX}:
             return
         last = self._positions.get(status.topic)
@@ -102,14 +102,12 @@ class Monitor:
         return self.last
 
     def _levels(self, found: list[Fault] | None) -> list[Levels]:
-        """At each of the risks; infinite without an estimate."""
         if found is None:
             return [_UNKNOWN] * len(self._shares)
         h, v = protection_levels(np.array([f[1:] for f in found]), self._once, self._tail)
         return [Levels(h[k], v[k]) for k in self._each]
 
     def _faults(self, tracker: Tracker, t_ns: int) -> list[Fault] | None:
-        """None without an estimate, or with one that is not finite."""
         shown = tracker.alignment.shown
         if shown is None or not shown.lead.sound:
             return None
@@ -122,7 +120,6 @@ class Monitor:
         return faults(Snapshot(t_ns, shown, covariance, max(age_s, 0.0), self._positions, single, factor), self._config)
 
     def _reason(self, found: list[Fault], at_risk: Levels) -> str:
-        """Which limit is exceeded, and the fault that contributes most."""
         config = self._config
         sides: list[tuple[str, float, float | None, list[Mode], Callable[[float], float]]] = [
             ("HPL", at_risk.hpl_m, config.hal_m, [f.horizontal for f in found], in_plane),
@@ -136,6 +133,5 @@ class Monitor:
         return "within the limits again, for less than 2 s"
 
     def _largest(self, modes: Sequence[Mode], limit_m: float, exceeds: Callable[[float], float]) -> str:
-        """The mode that is beyond the limit with the largest probability."""
         shares = exceeded(modes, limit_m, self._tail, exceeds)
         return modes[shares.index(max(shares))].name

@@ -1,4 +1,4 @@
-"""Maps and their images on disk: GeoJSON, orthophotos, rasters of heights. Begin with `store` and `image`.
+"""Maps on disk: GeoJSON, orthophotos, height rasters. Begin with `store` and `image`.
 
 May import estimator.strict_toml, vision and models.
 """

@@ -1,4 +1,4 @@
-"""Height of the geoid above the WGS-84 ellipsoid: EGM96 on a grid of one degree (Lemoine et al. 1998, NASA/TP-1998-206861).
+"""Height of the geoid above WGS-84: EGM96 on a grid of one degree (Lemoine et al. 1998).
 
     N(lat, lon): bilinear,   height above the ellipsoid = height above the sea + N
 

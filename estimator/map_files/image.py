@@ -1,4 +1,4 @@
-"""The map's image from disk: where its pixels lie in n, and how high its ground is."""
+"""The map's image from disk: position of its pixels in n, height of its ground."""
 
 from pathlib import Path
 
@@ -25,7 +25,7 @@ _RASTER_UNEVEN_M = 1.0  # of what a raster of heights leaves out
 
 
 def origin(file: ImageFile) -> Vec3:
-    """Latitude, longitude [deg] and height [m] of an image's first pixel. Raises MapError; OSError where it cannot be read."""
+    """Latitude, longitude [deg], height [m] of the first pixel. Raises MapError, OSError."""
     affine, epsg = orthophoto.georeference(file.path, file.epsg)
     lonlat = projection.to_lonlat(epsg, affine[None, :, 2])
     assert lonlat is not None
@@ -33,7 +33,7 @@ def origin(file: ImageFile) -> Vec3:
 
 
 def load(file: ImageFile, at: Vec3) -> MapImage:
-    """The image in the frame n at an origin, with its keypoints. Raises MapError, one line; OSError where it cannot be read."""
+    """The image in n at an origin, with keypoints. Raises MapError, OSError."""
     photo = orthophoto.load(file.path, file.epsg, grey=True)
     height_m = at[2] if file.height_m is None else file.height_m
     nodes = _nodes(photo.image.shape[1], photo.image.shape[0])
@@ -52,7 +52,6 @@ def load(file: ImageFile, at: Vec3) -> MapImage:
 
 
 def _learned(files: LearnedFiles | None) -> Learned | None:
-    """The models, where given. Raises MapError, one line; OSError where one cannot be read."""
     if files is None:
         return None
     extractor = Model(str(files.extractor), content(files.extractor), files.extractor_sha256)
@@ -78,12 +77,11 @@ def _on_earth(affine: Array, epsg: int, px: Array) -> Array:
 
 
 def _to_n(lonlat: Array, height_m: float | Array, at: Vec3) -> Array:
-    """Points (N, 3) in n."""
     return np.column_stack(pymap3d.geodetic2ned(lonlat[:, 1], lonlat[:, 0], height_m, *at))
 
 
 def _affine(px: Array, place_n: Array, path: Path) -> Array:
-    """A (2, 3) with place = A (u, v, 1), least squares. Raises MapError where the Earth is too round for that."""
+    """A (2, 3): place = A (u, v, 1), least squares. Raises MapError where the area is too curved."""
     terms = np.column_stack((px, np.ones(len(px))))
     solution = np.linalg.lstsq(terms, place_n, rcond=None)[0]
     pixel_m = float(np.sqrt(abs(np.linalg.det(solution[:2]))))
@@ -94,7 +92,6 @@ def _affine(px: Array, place_n: Array, path: Path) -> Array:
 
 
 def _raster(path: Path, epsg: int, at: Vec3) -> Heights:
-    """Heights of a file; where it has none, the nearest's."""
     values, affine, code = orthophoto.load_raster(path, epsg)
     empty = ~((values > _DEEPEST_M) & (values < _HIGHEST_M))
     if empty.all():

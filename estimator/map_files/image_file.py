@@ -1,4 +1,4 @@
-"""Which image a map has, and how good it is; apart from its reader, so that a configuration loads no image library."""
+"""Description of a map's image; separate from its reader, so a configuration loads no image library."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -14,7 +14,7 @@ class LearnedFiles(NamedTuple):
 
 
 class ImageFile(NamedTuple):
-    """A map's image on disk: georeferenced image, and how well it is; height of its ground above the ellipsoid or a raster."""
+    """Georeferenced image with its sigma; ground height above the ellipsoid, or a raster of it."""
 
     path: Path
     sigma_m: float

@@ -1,4 +1,4 @@
-"""Keypoints of a map's image, kept beside it as NAME.keypoints.npz for one content and method; made anew otherwise."""
+"""Keypoints of a map's image, cached as NAME.keypoints.npz for its content and method."""
 
 import hashlib
 import os
@@ -18,7 +18,7 @@ _VERSION = 1
 
 
 def keypoints(path: Path, image: GroundImage, config: FeatureConfig | None = None) -> tuple[Array, Descriptors]:
-    """Pixels (N, 2) and descriptors (N, 128) of the image at a path, from the file beside it where there is one."""
+    """Pixels (N, 2) and descriptors (N, 128) of the image, cached."""
     config = config or FeatureConfig()
     key, file = _key(image, config), path.with_name(f"{path.name}.keypoints.npz")
     kept = _read(file, key, image)
@@ -30,14 +30,12 @@ def keypoints(path: Path, image: GroundImage, config: FeatureConfig | None = Non
 
 
 def _key(image: GroundImage, config: FeatureConfig) -> str:
-    """SHA-256 of grey values, size, and what finds the keypoints."""
     grey = image.pyramid[0]
     way = msgspec.json.encode((_VERSION, cv2.__version__, grey.shape, config.most_in_map, config.longest_map))
     return hashlib.sha256(way + np.ascontiguousarray(grey).tobytes()).hexdigest()
 
 
 def _read(file: Path, key: str, image: GroundImage) -> tuple[Array, Descriptors] | None:
-    """What a file holds for this key; None where it holds nothing that can be used."""
     try:
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             if str(archive["key"]) != key:
@@ -53,7 +51,7 @@ def _read(file: Path, key: str, image: GroundImage) -> tuple[Array, Descriptors]
 
 
 def _write(file: Path, key: str, px: Array, descriptors: Descriptors) -> None:
-    """Whole or not at all: another process may read it."""
+    """Atomic write: another process may read it."""
     part = file.with_name(f"{file.name}.{os.getpid()}")
     try:
         with part.open("wb") as stream:

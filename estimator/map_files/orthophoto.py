@@ -1,6 +1,6 @@
-"""Georeferenced images, and the colours of roofs in them.
+"""Georeferenced images, and colours of roofs in them.
 
-A GeoTIFF, or any image with a world file (.pgw, .jgw, .tfw, .wld) next to it, and a .prj that names its coordinate system:
+A GeoTIFF, or an image with a world file (.pgw, .jgw, .tfw, .wld) and a .prj:
 
 (x, y) = A (u, v, 1): plane coordinates of the pixel whose centre is at (u, v)
 """
@@ -52,16 +52,14 @@ class Orthophoto(NamedTuple):
 
 
 def load(path: Path, epsg: int = 0, *, grey: bool = False) -> Orthophoto:
-    """The image of a file; epsg: where the file holds none; grey: decoded without colours (a third of the memory). Raises
-    MapError.
-    """
+    """The image of a file; epsg: if not in the file; grey: a third of the memory. Raises MapError."""
     with refusing(MapError, path, OSError):
         image = _decode(path, cv2.IMREAD_ANYDEPTH | (cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR))
         return Orthophoto(_to_8_bit(image), *georeference(path, epsg))
 
 
 def load_raster(path: Path, epsg: int = 0) -> tuple[Array, Array, int]:
-    """Numbers (H, W) of a georeferenced raster of one band, as they are; its affine and EPSG code. Raises MapError, one line."""
+    """Values (H, W) of a one-band raster, affine and EPSG code. Raises MapError."""
     with refusing(MapError, path, OSError):
         values = _decode(path, cv2.IMREAD_UNCHANGED)
         if values.ndim != 2:
@@ -70,7 +68,7 @@ def load_raster(path: Path, epsg: int = 0) -> tuple[Array, Array, int]:
 
 
 def georeference(path: Path, epsg: int = 0) -> tuple[Array, int]:
-    """Affine (2, 3) and EPSG code of an image file; epsg: where the file holds none. Raises MapError, one line."""
+    """Affine (2, 3) and EPSG code of an image file; epsg: if not in the file. Raises MapError."""
     tags = _tags(path)
     affine = _tiff_affine(tags) if _TIEPOINT in tags or _TRANSFORM in tags else _world_file(path)
     if affine is None:
@@ -90,7 +88,7 @@ def georeference(path: Path, epsg: int = 0) -> tuple[Array, int]:
 
 
 def _decode(path: Path, flags: int) -> cv2.typing.MatLike:
-    """Strip by strip from the file: the compressed image is never in memory as a whole. Raises OSError where there is none."""
+    """Decode from disk, without the compressed file in memory. Raises OSError."""
     header = image_header_of_file(path)
     reason = too_large(header, path.stat().st_size, _MOST_PIXELS) if header else _NO_IMAGE
     if reason:
@@ -106,7 +104,7 @@ def _decode(path: Path, flags: int) -> cv2.typing.MatLike:
 
 
 def coloured(the_map: LandmarkMap, ortho: Orthophoto) -> LandmarkMap:
-    """The map with the median colour of the image for each landmark that has none and lies in it."""
+    """The map with the image's median colour for landmarks inside it that have none."""
     columns = the_map.columns
     colours = columns.colour_bgr.copy()
     missing = np.flatnonzero(colours[:, 0] < 0)
@@ -131,7 +129,7 @@ def coloured(the_map: LandmarkMap, ortho: Orthophoto) -> LandmarkMap:
 
 
 def _median(image: NDArray[np.uint8], px: Array) -> Array | None:
-    """Median colour inside an outline (K, 2), its margin left out; None where it is not wholly in the image or too small."""
+    """Median colour inside an outline (K, 2) without margin; None where too small or not wholly inside."""
     low, high = np.floor(px.min(axis=0)).astype(int), np.ceil(px.max(axis=0)).astype(int)
     if np.any(low < 0) or np.any(high >= (image.shape[1], image.shape[0])):
         return None
@@ -157,7 +155,6 @@ def _to_8_bit(image: cv2.typing.MatLike) -> NDArray[np.uint8]:
 
 
 def _world_name(path: Path) -> Path:
-    """x.png -> x.pgw: first and last letter of the ending, and a w."""
     ending = path.suffix.lstrip(".")
     return path.with_suffix(f".{ending[:1]}{ending[-1:]}w")
 
@@ -176,7 +173,7 @@ def _world_file(path: Path) -> Array | None:
 
 
 def _tiff_affine(tags: dict[int, tuple[float, ...]]) -> Array:
-    """A of a GeoTIFF (standard 1.1, section 7.3): its raster space has (0, 0) at the corner of a pixel, unless it says point."""
+    """A of a GeoTIFF (standard 1.1, section 7.3); (0, 0) is a pixel's corner unless it says point."""
     if _TRANSFORM in tags:
         affine: Array = np.array(tags[_TRANSFORM]).reshape(4, 4)[:2, [0, 1, 3]]
     else:
@@ -188,7 +185,7 @@ def _tiff_affine(tags: dict[int, tuple[float, ...]]) -> Array:
 
 
 def _prj(path: Path) -> int:
-    """EPSG code by the .prj (WKT) beside an image: its own, or that of WGS 84 or its UTM by name; 0 where neither."""
+    """EPSG code of a .prj (WKT): its own, or WGS 84 or its UTM by name; 0: none."""
     try:
         text = content(path.with_suffix(".prj"), PIPE_BYTES).decode(errors="replace")
     except OSError:
@@ -215,14 +212,12 @@ def _epsg(tags: dict[int, tuple[float, ...]]) -> int:
 
 
 def _key(tags: dict[int, tuple[float, ...]], key: int) -> int:
-    """A short value of the GeoTIFF's key directory, 0 where it is not there."""
     directory = [int(v) for v in tags.get(_KEYS, ())]
     entries = zip(directory[4::4], directory[5::4], directory[7::4], strict=False)
     return next((value for name, place, value in entries if name == key and place == 0), 0)
 
 
 def _tags(path: Path) -> dict[int, tuple[float, ...]]:
-    """Numbers of a classic TIFF's geographic tags; none of anything else."""
     with opened(path) as file:
         order = {b"II*\0": "<", b"MM\0*": ">"}.get(file.read(4))
         if order is None:

@@ -13,7 +13,7 @@ _HEAD = 4096  # bytes: where a map of ours says its origin
 
 
 def load(path: Path, defaults: Defaults | None = None) -> LandmarkMap:
-    """The map of a file. Raises MapError, one line that names the file; OSError where it cannot be read."""
+    """The map of a file. Raises MapError, OSError."""
     data = content(path)
     try:
         with refusing(MapError, "the map"):

@@ -1,4 +1,4 @@
-"""Height of the ground from SRTM tiles (.hgt) or GeoTIFF, one file or a folder; surface models.
+"""Ground height from SRTM tiles (.hgt) or GeoTIFF, a file or a folder.
 
     h_ellipsoid(lat, lon) = bilinear(tile) + N(lat, lon)          N: geoid, where the model's heights are above the sea
 
@@ -27,7 +27,7 @@ _MOST_TILES: Final = 64
 
 
 class _Tile(NamedTuple):
-    """heights_m (H, W), NaN where unknown; inverse (2, 2) and start (2,) of x, y -> column, row; the system of x, y."""
+    """heights_m (H, W), NaN where unknown; inverse (2, 2), start (2,): x, y -> column, row; system of x, y."""
 
     heights_m: Array
     inverse: Array
@@ -35,7 +35,7 @@ class _Tile(NamedTuple):
     epsg: int
 
     def at(self, lonlat: Array) -> Array:
-        """Bilinear, NaN outside. Half a cell beyond the last points belongs to them: between tiles of cells is a gap of one."""
+        """Bilinear, NaN outside; the outer points cover half a cell more, where tiles meet."""
         xy = projection.from_lonlat(self.epsg, lonlat)
         assert xy is not None
         column, row = ((xy - self.start) @ self.inverse.T).T
@@ -49,7 +49,7 @@ class _Tile(NamedTuple):
 
 
 class Terrain:
-    """One file or a folder of tiles. above_ellipsoid: its heights are, and not above the sea. Raises MapError."""
+    """A file or a folder of tiles; above_ellipsoid: not above the sea. Raises MapError."""
 
     def __init__(self, source: Path, *, above_ellipsoid: bool = False, progress: Callable[[float], None] | None = None) -> None:
         self._above_ellipsoid = above_ellipsoid

@@ -1,5 +1,4 @@
-"""A log through the same `Fusion.handle` as in flight, to the same bits, and logs by the simulator. Begin with `replay` and
-`simulate`.
+"""Logs through the same `Fusion.handle` as in flight, to the same bits; simulated logs. Begin with `replay` and `simulate`.
 
 May import estimator.frontend and the layers below it, logs, calib, vision and models.
 """

@@ -1,4 +1,4 @@
-"""The images of a simulated flight, rendered along the truth on all cores, each pair with random numbers of its own.
+"""Images of a simulated flight, rendered on all cores with one random stream per pair.
 
 pose at exposure:  p + v dt,  R exp(omega dt)         from the truth's last IMU sample before it
 """
@@ -37,7 +37,7 @@ _CHUNK: Final = 4  # pairs a process draws at a time
 
 @dataclass(frozen=True)
 class Flight:
-    """A scene, and where the rig is when images are taken. Made once; iterating it renders the pairs in order of arrival."""
+    """A scene and the rig's poses; iteration renders the pairs in order of arrival."""
 
     cameras: Cameras
     scene: Scene
@@ -46,7 +46,6 @@ class Flight:
     t_ns: NDArray[np.int64]  # exposures
 
     def __len__(self) -> int:
-        """Messages: two a pair."""
         return (1 if self.cameras.one_camera else 2) * len(self.t_ns)
 
     def __iter__(self) -> Iterator[tuple[int, Encoded]]:
@@ -90,7 +89,7 @@ class Flight:
 
 
 def plan(cameras: Cameras, simulation: Simulation, seed: int) -> Flight:
-    """The scene under a simulated flight, and the exposures. Raises ValueError where the flight is nowhere on Earth."""
+    """Scene under a simulated flight, and the exposures. Raises ValueError for a flight without origin."""
     if simulation.origin is None:
         raise ValueError("cameras: their map needs a place on Earth")
     w = cameras.world
@@ -129,7 +128,6 @@ def configuration(cameras: Cameras, simulation: Simulation, map_name: str, rig_n
 
 
 def _sensed(image: Image, cameras: Cameras) -> Pixels:
-    """What this kind of camera makes of the light."""
     if cameras.sees == "thermal":
         return counts(image)
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) if cameras.sees == "grey" else image

@@ -1,4 +1,4 @@
-"""Why a replay made no estimate, and what to change or to log next time, in one line."""
+"""Why a replay made no estimate, and what to change, in one line."""
 
 from collections.abc import Mapping
 from typing import Final
@@ -28,10 +28,8 @@ def advice(
     details: Mapping[str, str],
     waited_for: str,
 ) -> str:
-    """The line; kind: of the importer that wrote the log, "" where none did; positions: messages that hold one; fixes: topic ->
-    reason -> measurements.
-
-    details: topic -> detail of its last refusal; waited_for: what the estimator last said it waits for.
+    """kind: of importer, "" for none; positions: messages with one; fixes: topic -> reason -> measurements; details: topic ->
+    last refusal; waited_for: by the estimator at last.
     """
     log_faster = _LOG_FASTER.get(kind, _ANY_LOG)
     if imu_samples < 2:

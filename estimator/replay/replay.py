@@ -1,7 +1,6 @@
 """A log through the estimator, to the bits of a flight with this configuration.
 
-The output holds the input's messages byte for byte, without its earlier outputs, and behind each the outputs it caused;
-replaying an output gives the same file.
+The output holds the input byte for byte, without earlier outputs, and behind each message the outputs it caused.
 """
 
 import time
@@ -77,10 +76,9 @@ def replay(
     *,
     odometry: bool = True,
 ) -> ReplaySummary:
-    """Replay the log `source` (parts, or their folder) into `out`; progress: fraction done. Raises LogError.
+    """Replay `source` (parts, or their folder) into `out`; progress: fraction done. Raises LogError.
 
-    sight: processes the images again, None: the log's fixes; attachments: the configuration's files instead of the log's;
-    odometry: whether it is used.
+    sight: processes images again, None: logged fixes; attachments: replace the log's; odometry: whether used.
     """
     parts = files_of(source)
     if out.exists() and any(part.exists() and out.samefile(part) for part in parts):
@@ -122,12 +120,11 @@ def replay(
 
 
 def _kind(attachment: Attachment) -> str:
-    """What it is, whatever its file was called: config.toml, calibration, map ..."""
     return attachment.name.partition("/")[0]
 
 
 def _is_own_output(topic: str, schema: str, data: bytes) -> bool:
-    """Whether a message of the input is what an earlier run of ours published. /tf is shared: only map -> base_link is ours."""
+    """Whether a message is an earlier output of ours; of /tf only map -> base_link."""
     if topic == TF_TOPIC and schema == schemas.TF:
         return is_own_transform(data)
     return topic.startswith(OWN_PREFIX) and topic not in OWN_INPUTS

@@ -1,4 +1,4 @@
-"""A simulation as a log: the sensors' messages in order of arrival with the truth among them, and its configuration."""
+"""A simulation as a log: sensor messages and truth in order of arrival, and its configuration."""
 
 import heapq
 from collections.abc import Callable, Iterator
@@ -26,7 +26,7 @@ def write(
     progress: Callable[[float], None] | None = None,
     images: Images = (),
 ) -> int:
-    """Writes `out`; returns the number of messages. Of equal times the sensors come first, then the truth, then images."""
+    """Write `out`; number of messages. At equal times: sensors, truth, images."""
     total = len(simulation.messages) + len(simulation.truth.t_ns) + len(images)
     inputs = ((m.arrived_ns, 0, encode_input(m)) for m in simulation.messages)
     shots = ((arrived_ns, 2, message) for arrived_ns, message in images)

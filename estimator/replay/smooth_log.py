@@ -1,4 +1,4 @@
-"""A log through the smoother: the log again, and in it /landfix/smoothed, what can be said of the flight with all of it known."""
+"""A log with the smoothed flight added on /landfix/smoothed."""
 
 from collections.abc import Callable
 from hashlib import sha256
@@ -40,7 +40,7 @@ class SmoothLogConfig(Protocol):
 
 
 class SmoothSummary(msgspec.Struct, frozen=True):
-    """What was written: nodes, the segments they fall into, and the largest 1-sigma of a position in any direction, m."""
+    """nodes, segments, and the largest 1-sigma of a position in any direction, m."""
 
     nodes: int
     segments: int
@@ -53,8 +53,7 @@ def write_smoothed(
 ) -> SmoothSummary:
     """Smooth the log `source` into `out`; progress: fraction done. Raises LogError.
 
-    out: the source's messages, and nav_msgs/Odometry on /landfix/smoothed at the log time of the first IMU sample that is not
-    older.
+    out: the source's messages and nav_msgs/Odometry on /landfix/smoothed, at the log time of the next IMU sample.
     """
     if source.exists() and out.exists() and out.samefile(source):
         raise LogError(f"{out}: the output would overwrite the input; name another file after -o")
@@ -86,7 +85,6 @@ def write_smoothed(
 
 
 def _read(source: Path, decoder: Decoder, tell: Callable[[float], None]) -> list[Input]:
-    """All inputs of the log, in the order of their arrival."""
     messages: list[Input] = []
     with LogReader(source) as reader:
         for k, record in enumerate(reader):
@@ -99,7 +97,7 @@ def _read(source: Path, decoder: Decoder, tell: Callable[[float], None]) -> list
 
 
 def of_one_imu(messages: list[Input], config: FusionConfig, tell: Callable[[float], None] = lambda _: None) -> list[Input]:
-    """Of several IMUs the samples of the one that led longest, while it led, found by estimating the flight once more."""
+    """Only the samples of the IMU that led longest, while it led, by a second estimation."""
     if len(config.imu_topics) < 2:
         return messages
     fusion, led = Fusion(config), dict[int, str]()  # topics by the time from which they led
@@ -117,7 +115,7 @@ def of_one_imu(messages: list[Input], config: FusionConfig, tell: Callable[[floa
 
 
 def _arrivals(smoothed: Smoothed, messages: list[Input]) -> list[int]:
-    """When each node could first have been known: the arrival of the first IMU sample that is not older, never decreasing."""
+    """Arrival of the first IMU sample not older than each node, never decreasing."""
     imu = sorted((m.t_ns, m.arrived_ns) for m in messages if isinstance(m, ImuSample))
     t_ns, arrived_ns = np.array(imu, np.int64).reshape(-1, 2).T
     rows = np.searchsorted(t_ns, smoothed.t_ns)
@@ -126,7 +124,6 @@ def _arrivals(smoothed: Smoothed, messages: list[Input]) -> list[int]:
 
 
 def _encoded(smoothed: Smoothed, row: int, arrived_ns: int) -> Encoded:
-    """One node as /landfix/odometry would be encoded, on its own topic."""
     t_ns = int(smoothed.t_ns[row])
     estimate = Estimate(
         t_ns, arrived_ns, smoothed.nav[row], smoothed.covariance[row], vec3(smoothed.gyro_b[row]), Mode.AIDED, 0, t_ns

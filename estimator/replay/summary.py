@@ -1,4 +1,4 @@
-"""What happened in a run, counted while it runs: for the summary a person reads and the JSON a program reads."""
+"""Counts of a run, for the printed summary and its JSON."""
 
 from collections import Counter
 from math import isfinite
@@ -117,7 +117,6 @@ class SummaryBuilder:
         return 0.0 if self._first_ns is None else (self._last_ns - self._first_ns) * 1e-9
 
     def _longest_outage_s(self) -> float:
-        """Of all sources together."""
         if self._previous_ns is None:
             return 0.0
         seen: dict[str, list[tuple[int, int]]] = {}

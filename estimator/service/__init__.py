@@ -5,6 +5,6 @@
 
     base -> autopilot -> mavlink, zenoh, log -> daemon, vision -> run, which puts everything together
 
-A link is an Inbox's source and an Outbox (ports.py). A failure of links, log, state file or watchdog does not stop the loop.
-May import estimator.frontend and the layers below it, logs and models.
+Failures of links, log, state file or watchdog do not stop the loop. May import estimator.frontend and the layers below it, logs
+and models.
 """

@@ -1,4 +1,4 @@
-"""The lines of `landfix run` on stderr, by a thread of its own; lines that wait too long are dropped."""
+"""Lines of `landfix run` on stderr, by an own thread; late lines are dropped."""
 
 import contextlib
 import os
@@ -53,7 +53,7 @@ class Console:
                 self._lines.put_nowait(line)
 
     def note(self, output: Output) -> None:
-        """Print the first estimate, every change of mode or alert, a silent IMU, the first malformed message of each topic."""
+        """Print the first estimate, changes of mode or alert, a silent IMU, malformed messages once a topic."""
         if isinstance(output, Estimate) and not self._estimated:
             self._estimated = True
             self.say("first estimate: published")
@@ -70,7 +70,6 @@ class Console:
                 self.say(f"malformed message on {output.topic}: {output.detail}; see what writes this topic (more are counted)")
 
     def _health(self, health: Health) -> None:
-        """Mode, and an IMU that has been silent for 3 s, once."""
         if health.mode is not self._mode:
             self._mode = health.mode
             radius = "" if health.mode in _NO_ESTIMATE_YET else f", 95 % radius {health.radius95_m:.1f} m"
@@ -85,7 +84,7 @@ class Console:
             self._silent_ns = 0  # said
 
     def closed(self, logs: Sequence[Path], lost_inputs: int) -> None:
-        """Print each log file of this run with its size, and whether it is complete; called after the log is closed."""
+        """Print each log file's size and completeness, after the log is closed."""
         if self._quiet:
             return
         for topic, count in self._malformed.items():

@@ -1,7 +1,7 @@
-"""The loop: one message after the other through Fusion.handle, outputs to the links and the log.
+"""The loop: messages through Fusion.handle, outputs to links and log.
 
-Links, log and state file have threads of their own; late fixes are worked in while no message waits. Fusion gets the bytes that
-are logged, so a replay gives the same, to the bit.
+Links, log and state file have own threads; late fixes are worked in while no message waits. Fusion gets the logged bytes, so a
+replay is equal to the bit.
 """
 
 from collections.abc import Callable, Sequence
@@ -39,7 +39,7 @@ class ServiceConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Daemon:
-    """The loop; alive(): at each tick with estimates or a known reason for none; watchers: called with every output."""
+    """alive(): called at each tick with estimates or a known reason for none; watchers: with every output."""
 
     def __init__(
         self,
@@ -87,14 +87,14 @@ class Daemon:
             next_tick_ns += _TICK_NS
 
     def _survive(self, step: Callable[..., None], *given: Arrival) -> None:
-        """A defect of ours costs one message, is counted and reported once a second, and does not end the flight."""
+        """An internal error costs one message, is counted and reported once a second."""
         try:
             step(*given)
         except Exception as error:
             self._status.note_defect(f"{type(error).__name__}: {error}")
 
     def take(self, arrival: Arrival) -> None:
-        """One message; behind an IMU sample, when there is most time until the next, also the answers of our own vision."""
+        """Take one message; behind an IMU sample, with most time left, also answers of our vision."""
         if isinstance(self._handle(arrival), ImuSample):
             self._take_own()
         if not len(self.mailbox):
@@ -105,7 +105,6 @@ class Daemon:
             self._handle(arrival)
 
     def _handle(self, arrival: Arrival) -> Input | None:
-        """One message: to the log, through Fusion, out."""
         if arrival.own:
             for outbox in self._outboxes:
                 outbox.send((), [Encoded(arrival.topic, arrival.schema, arrival.data)])
@@ -134,7 +133,7 @@ class Daemon:
         return message
 
     def _on_our_clock(self, arrival: Arrival) -> Arrival:
-        """The message with its stamp translated; on another topic, that feeds nothing, where its clock is not known."""
+        """The message with its stamp on our clock; of an unknown clock, moved to a topic that feeds nothing."""
         topic, _, data, arrived_ns, _ = arrival
         stamp_ns = stamp_of(data)
         if stamp_ns is None:
@@ -146,7 +145,7 @@ class Daemon:
         return arrival if t_ns == stamp_ns else arrival._replace(data=restamped(data, t_ns))
 
     def _tick(self) -> None:
-        """Give the time to the estimator, after all waiting messages unless a flood never lets them end; publish the status."""
+        """Tick the estimator, after waiting messages unless a flood goes on; publish the status."""
         self._take_own()  # no IMU sample may come for it
         now_ns = self._clock.now_ns()
         if self._status.works(now_ns):

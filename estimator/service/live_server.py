@@ -1,4 +1,4 @@
-"""A Foxglove WebSocket server of a log or a running daemon, with the log's own CDR bytes. Needs foxglove-sdk (landfix[live])."""
+"""Foxglove WebSocket server of a log or a running daemon, same CDR bytes. Needs landfix[live]."""
 
 import threading
 import time
@@ -59,7 +59,7 @@ class LiveServer:
         return any(channel.has_sinks() for channel in tuple(self._channels.values()))
 
     def offer(self, topics: Mapping[str, str]) -> None:
-        """Tell viewers of topics before there is a message; topic -> type, of which unknown ones are left out."""
+        """Announce topics before their messages; topic -> type, unknown types omitted."""
         for topic, schema in topics.items():
             if topic not in self._channels and is_known(schema):
                 definition = self._foxglove.Schema(name=schema, encoding="ros2msg", data=schema_text(schema).encode())
@@ -81,7 +81,6 @@ class LiveServer:
         self._server.broadcast_time(t_ns)
 
     def _repeat(self, topic: str) -> None:
-        """What somebody who has just subscribed has missed."""
         if topic in self._last:
             data, t_ns = self._last[topic]
             self._channels[topic].log(data, log_time=t_ns)
@@ -109,7 +108,7 @@ def topics_of(log: Path, progress: Callable[[float], None] = lambda _: None) -> 
 
 
 def play(server: LiveServer, log: Path, speed: float, progress: Callable[[float], None] = lambda _: None) -> int:
-    """The messages of a log at their times, so many times as fast; the number sent. A silence is cut to a second."""
+    """Play a log at `speed`; number of messages. Silence is cut to a second."""
     due_s, last_ns, count = time.monotonic(), None, 0
     with LogReader(log) as reader:
         for count, record in enumerate(reader, 1):

@@ -158,7 +158,6 @@ class View:
         return Panel(table, title="daemon", title_align="left", width=_WIDTH)
 
     def _rate_hz(self) -> float:
-        """Of the estimates, by their stamps: how fast they are read has no part in it."""
         stamps = self._stamps_ns
         return 1e9 * (len(stamps) - 1) / (stamps[-1] - stamps[0]) if len(stamps) > 1 and stamps[-1] > stamps[0] else 0.0
 
@@ -184,7 +183,7 @@ def status(session: zenoh.Session) -> str:
 
 
 def watch(session: zenoh.Session, domain: int, endpoint: str, seconds: float | None, picture: Path | None) -> None:
-    """Show the screen until Ctrl-C, or for so long; keep the last one as a picture. Raises BusError when it cannot."""
+    """Show the screen until Ctrl-C or for `seconds`; save the last one as picture. Raises BusError."""
     view = View()
     kept = _listen(session, domain, view)
     console = Console()
@@ -213,7 +212,6 @@ def _save(screen: RenderableType, picture: Path) -> None:
 
 
 def _listen(session: zenoh.Session, domain: int, view: View) -> list[zenoh.Subscriber[None]]:
-    """Let the view hear the daemon; the subscribers are to be kept."""
     topics = {
         "/landfix/odometry": schemas.ODOMETRY,
         "/landfix/health": schemas.DIAGNOSTICS,
@@ -230,7 +228,6 @@ def _listen(session: zenoh.Session, domain: int, view: View) -> list[zenoh.Subsc
 
 
 def _values(data: bytes) -> dict[str, str]:
-    """The keys and values of a DiagnosticArray's first status."""
     message: Any = STORE.deserialize_cdr(data, schemas.DIAGNOSTICS)
     return {one_line(pair.key): one_line(pair.value) for pair in message.status[0].values}
 
@@ -242,7 +239,7 @@ def _fates(reasons: Iterable[str]) -> Text:
 
 
 def _links(d: Mapping[str, str]) -> Iterator[tuple[str, str, bool]]:
-    """Name, state and whether it is well, of vision and of the autopilot's link where they are configured."""
+    """Name, state and health of configured vision and autopilot link."""
     if state := d.get("vision state"):
         seen = f"{d['vision fixes']} fixes of {d['vision pairs']} pairs, {d['vision latency_ms']} ms"
         yield "vision", f"{state}   {seen}, {d['vision restarts']} restarts", state in {"ready", "seeing"}
@@ -278,7 +275,7 @@ def _metres(given: str | None) -> str:
 
 
 class _Table(Table):
-    """A table in which a string is text: of what peers sent nothing is taken for markup."""
+    """A table of plain text: peers' strings are not markup."""
 
     def add_row(self, *cells: RenderableType | None, **how: Any) -> None:
         """As of any table."""

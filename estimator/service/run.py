@@ -91,7 +91,7 @@ class RunConfig(Protocol):
 def run(config: RunConfig, folder: Path, *, quiet: bool = False) -> None:
     """Fly until SIGTERM or SIGINT; folder: of the configuration's files; quiet: errors only.
 
-    Raises ConfigError, FolderError or BusError before the start, nothing afterwards.
+    Raises ConfigError, FolderError or BusError before the start only.
     """
     notifier = Notifier()
     with (
@@ -108,7 +108,6 @@ def run(config: RunConfig, folder: Path, *, quiet: bool = False) -> None:
 
 
 def _greeting(config: RunConfig) -> Iterator[str]:
-    """What the daemon listens on and what it waits for, a line each."""
     zenoh, mavlink, inputs = config.zenoh, config.mavlink.endpoint, config.inputs
     if zenoh.enabled:
         connects = f", connects to {', '.join(zenoh.connect)}" if zenoh.connect else ""
@@ -129,7 +128,7 @@ def assembled(
     alive: Callable[[], None] = lambda: None,
     console: Console | None = None,
 ) -> Iterator[Daemon]:
-    """The daemon with its log, its links and its last state, open as long as the context; run() is the caller's."""
+    """The daemon with log, links and last state, open for the context."""
     console = console or Console()
     attachments = _attachments(config, folder)
     console.say("loading kernels; the first start on a machine compiles them, which takes a minute or more")
@@ -203,7 +202,6 @@ def assembled(
 def _vision(
     stack: ExitStack, config: RunConfig, folder: Path, clock: Clock, track: Track, mailbox: Mailbox, bus: ZenohBus | None
 ) -> VisionWorker | None:
-    """Vision, where the configuration names cameras and a map, of landmarks or an image."""
     files, inputs, image = config.files(), config.inputs, config.map_image(folder)
     if "calibration" not in files or not ("map" in files or image):
         return None
@@ -228,7 +226,6 @@ def _both(first: Callable[[Arrival], None], second: Callable[[Arrival], None]) -
 def _odometry(
     stack: ExitStack, config: RunConfig, folder: Path, clock: Clock, track: Track, mailbox: Mailbox
 ) -> OdometryWorker | None:
-    """Visual odometry, where it is enabled and the configuration names cameras."""
     files, inputs = config.files(), config.inputs
     if not config.visual_odometry.enabled or "calibration" not in files:
         return None
@@ -242,12 +239,10 @@ def _odometry(
 
 
 def _subscriptions(config: RunConfig) -> dict[str, str]:
-    """topic -> type of the inputs that others may feed: neither the time nor a state."""
     return {topic: schema for topic, schema in config.decoder().types.items() if topic not in {TICK_TOPIC, CHECKPOINT_TOPIC}}
 
 
 def _attachments(config: RunConfig, folder: Path) -> list[Attachment]:
-    """The configuration, and the files it names. Raises ConfigError."""
     kept = Attachment(CONFIG_ATTACHMENT, "application/toml", config.toml().encode())
     return [kept, *(file_attachment(kind, folder / file) for kind, file in config.files().items())]
 
@@ -275,7 +270,7 @@ class _NoLog:
 
 
 def _metadata(config: RunConfig, folder: Path, digest: str) -> dict[str, str]:
-    """Description of the log; of the map's image, too large to be attached, name and checksum. Raises ConfigError."""
+    """Metadata of the log; of the map's image name and checksum only. Raises ConfigError."""
     known = {"version": version(), "config_sha256": digest}
     image = config.map_image(folder)
     if image is None:
@@ -344,9 +339,7 @@ def _mavlink(stack: ExitStack, config: RunConfig, folder: Path, clock: Clock, co
 
 @contextmanager
 def _until_signalled(daemon: Daemon) -> Iterator[None]:
-    """Signals that end a program stop the daemon, and are ignored while the log is closed; one that was ignored before (nohup)
-    stays so.
-    """
+    """Signals stop the daemon, and are ignored while the log closes; ignored ones (nohup) stay so."""
     for number in _STOP_SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, lambda *_: daemon.stop())

@@ -1,4 +1,4 @@
-"""Everything once before the flight: kernels loaded or compiled, tables made, so that the first messages are not late."""
+"""Run everything once before the flight: kernels compiled, tables made."""
 
 import numpy as np
 
@@ -16,7 +16,7 @@ _NOT_GIVEN: tuple[list[int], ...] = ([], [3, 4], [5])  # of x y z rx ry rz: noth
 
 
 def warm_up() -> None:
-    """A flight of two seconds, with late fixes, whole, in part and false, and a gap, through decoder, estimator and encoders."""
+    """Two seconds of flight with late, partial and false fixes and a gap, through decoder, estimator, encoders."""
     decoder, fusion, publisher = Decoder(), Fusion(FusionConfig(origin=_PLACE)), Publisher(OutputConfig())
     for message in _flight():
         topic, schema, data = encode_input(message)
@@ -48,7 +48,6 @@ def _pose_fix(validity_ns: int, arrived_ns: int, north_m: float, not_given: list
 
 
 def _landmark_fix(validity_ns: int, arrived_ns: int, *, in_part: bool) -> LandmarkFix:
-    """On one roof, whose place the map has wrong and which the rig sees wrong."""
     cov, moved = np.eye(6) * 1e-2, np.eye(6)[:, :3] * 0.1
     directions = np.eye(6)[:5] * DIRECTION_SCALE if in_part else None
     return LandmarkFix(

@@ -1,7 +1,6 @@
-"""The registry: the section of every source, and which of them makes a measurement of a message.
+"""Registry of the sources' sections and measurements.
 
-A sensor of one's own is a subclass of SensorConfig in a file here, one line in SourcesConfig, and an entry in
-logs/wire/sensors.py (docs/own_sensor.md).
+An own sensor: a subclass of SensorConfig here, a line in SourcesConfig, an entry in logs/wire/sensors.py (docs/own_sensor.md).
 """
 
 import math
@@ -63,7 +62,7 @@ class SourcesConfig(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def aid_of(message: Input, config: SourcesConfig) -> Aid | Refusal | None:
-    """The message as a measurement, or why it is none; None where its kind is not that of an aid."""
+    """The message as a measurement, or its refusal; None for other kinds."""
     match message:
         case PoseFix():
             return pose_aid(message, config.pose_fix)

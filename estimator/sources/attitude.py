@@ -1,7 +1,6 @@
-"""The attitude estimated by an autopilot, as a prior for the alignment: levelling and heading before motion has shown them.
+"""An autopilot's attitude as a prior for the alignment.
 
-It is taken once and never fused in flight: it rests on the same IMU, and often the same GNSS, as our own estimate, and its errors
-repeat from message to message. Fused as white noise it would count all that twice.
+Never fused in flight: it rests on the same IMU and often GNSS, and its errors repeat.
 """
 
 from typing import Final

@@ -1,9 +1,9 @@
-"""A barometer: height above where it was first read, by the standard atmosphere.
+"""A barometer: height above its first reading, by the standard atmosphere.
 
     z = h + s_0 + s_1 h + v,   h = -p_d
 
-Its zero s_0 is unknown (weather, datum): the first reading sets it, from then on it drifts. s_1 is what the air's temperature
-makes of a climb, 0.4 % for each degree off the standard atmosphere. Both are estimated.
+The first reading sets s_0 (weather, datum), which then drifts; s_1: air temperature, 0.4 % per degree off the standard. Both are
+estimated.
 """
 
 import math

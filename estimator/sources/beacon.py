@@ -1,16 +1,13 @@
-"""Range to a known beacon, as ultra-wideband radios measure it.
+"""Range to a known beacon (ultra-wideband).
 
     z = |b - a| + s_0 + n,   a = p + R_nb l
 
-b: the beacon on the map; l: the vehicle's antenna in the body; s_0: antenna delays, the beacon's survey and reflections, which
-stay for slow_s (considered). One topic is one beacon: the number at its end says which, /beacon/1 is the first of at_n_m.
-
-The range is not linear in the position. Beyond the gradient u = (a - b) / |a - b| there is
+b: beacon on the map; l: antenna in the body; s_0: antenna delay, survey, reflections, for slow_s (considered). /beacon/1 is the
+first of at_n_m. Beyond the gradient u = (a - b) / |a - b|, an error d ~ N(m, C) after this reading adds
 
     (d^T B d) / 2,   B = (I - u u^T) / |a - b|,   E[(d^T B d)^2] = (tr BC + m^T B m)^2 + 2 tr(BCBC) + 4 m^T B C B m
 
-of the error d ~ N(m, C) that this reading leaves. A vehicle that is known badly across the line sees the same error in reading
-after reading, so it counts _SAME times.
+An error across the line repeats from reading to reading, so it counts _SAME times.
 """
 
 import re
@@ -58,7 +55,7 @@ class BeaconRange(Curved):
         return distance, off / distance
 
     def evaluate(self, x: Array, _: Array, /) -> tuple[Array, Array]:
-        """nu = z - |b - a|;  H_p = u^T, H_theta = -u^T R [l]x. See Measurement."""
+        """nu = z - |b - a|;  H_p = u^T, H_theta = -u^T R [l]x."""
         distance, u = self._line(x)
         h = np.zeros((1, E.SIZE))
         h[0, E.P] = u
@@ -66,7 +63,7 @@ class BeaconRange(Curved):
         return np.array([self.z_m - distance]), h
 
     def bend(self, x: Array, cov: Array, nu: Array, h: Array, s: Array) -> Array:
-        """See Curved; what the reading leaves: m = K nu, C = P - K S K^T, of the position."""
+        """See Curved; after the reading m = K nu, C = P - K S K^T, of the position."""
         distance, u = self._line(x)
         by_reading = cov[E.P] @ h[0]
         m, c = by_reading * nu[0] / s[0, 0], cov[E.P, E.P] - np.outer(by_reading, by_reading) / s[0, 0]

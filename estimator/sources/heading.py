@@ -1,8 +1,8 @@
-"""Two GNSS antennas: the azimuth of the line from one to the other, of which the receiver knows the sigma.
+"""Azimuth of the baseline of two GNSS antennas.
 
     azimuth of R_nb b = z - e_0 - v
 
-b: the baseline in the body; e_0: what is left of the mounting, and multipath, which stay for a while (considered).
+b: baseline in the body; e_0: mounting and multipath, lasting (considered).
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Fixes on our own landmarks: of the whole pose, or of those combinations of position and attitude that the images show.
+"""Landmark fixes: the whole pose, or the observable combinations of position and attitude.
 
 nu = D (z (-) x) + y,   R = D C D^T,   L <- D L      (C: covariance of the fix, L: how errors that repeat move its pose)
 """
@@ -69,7 +69,6 @@ def _partial_aid(fix: LandmarkFix, directions: Array, readings: Array, config: P
 
 
 def _directions_refusal(directions: Array, readings: Array) -> Refusal | None:
-    """Why these are no directions, or no readings of them."""
     if directions.ndim != 2 or directions.shape[1] != 6 or len(directions) > 6:
         return Refusal(Reason.MALFORMED, f"directions of shape {directions.shape}, not (r, 6)")
     if not len(directions):
@@ -89,12 +88,11 @@ def _directions_refusal(directions: Array, readings: Array) -> Refusal | None:
 
 
 def _fixes_place(directions: Array) -> bool:
-    """Whether the position is known where the attitude is."""
     return len(directions) >= 3 and bool(np.linalg.svd(directions[:, :3], compute_uv=False)[-1] > _FIXES_PLACE)
 
 
 def position_innovation(z: Measurement, nu: Array, s: Array) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
-    """Innovation and sigma of the position, (3,) NED m, of nu (r,) with S (r, r); None where the reading has no whole position.
+    """Innovation and sigma of the position, (3,) NED m, of nu (r,), S (r, r); None without a whole position.
 
     D = R diag(scale) with R R^T = I: where R is square, scale (x_true (-) z) = R^T nu, and positions have the scale 1.
     """
@@ -109,7 +107,6 @@ def position_innovation(z: Measurement, nu: Array, s: Array) -> tuple[tuple[floa
 
 
 def _seen_along(directions: Array, slow: SlowError) -> SlowError:
-    """An error of the pose as the reading has it."""
     moved = slow.jacobian
     assert moved is not None
     return replace(slow, jacobian=(lambda x: directions @ moved(x)) if callable(moved) else directions @ moved)

@@ -1,14 +1,12 @@
-"""A magnetometer: heading from the Earth's field, whose direction and strength at the origin the World Magnetic Model gives.
+"""A magnetometer: heading from the Earth's field (World Magnetic Model).
 
     m_b = S (z_b - o),   azimuth of R_nb m_b = declination + e + v
 
-Its errors repeat: iron on the vehicle adds a field h_b that turns with it; the place, or iron that bends the field, turns it by
-e_0. Both are considered, so that a thousand readings weigh no more than their common error allows:
+Considered errors: h_b of iron on the vehicle, e_0 of the place; tilt errors are part of e_0 (Heading.is_steep):
 
     e = e_0 - (d azimuth / d m_b) h_b
 
-A tilt error t turns the azimuth by t tan(inclination), in level flight less than e_0; it is part of e_0 (Heading.is_steep).
-A reading whose strength or inclination is not the Earth's is refused.
+A reading of unearthly strength or inclination is refused.
 """
 
 import math
@@ -36,7 +34,7 @@ _Scale: TypeAlias = Annotated[float, Meta(ge=0.1, le=10)]
 
 
 class MagnetometerConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
-    """[magnetometer]: how it sits, its calibration and its errors; it is used where [inputs] magnetometer names a topic."""
+    """[magnetometer]: mounting, calibration, errors; used where [inputs] magnetometer names a topic."""
 
     mounting_rpy_deg: Annotated[
         tuple[_Degrees, _Degrees, _Degrees], Meta(description="deg: roll, pitch, yaw of the magnetometer in the body, as FRD")
@@ -100,7 +98,6 @@ class MagnetometerConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
         )
 
     def _check(self, m_b: Array, origin: Origin | None, year: float) -> Refusal | None:
-        """Whether the field is as strong as the Earth's is there."""
         if origin is None:
             return None
         strength, expected = float(np.linalg.norm(m_b)), math.hypot(*field_n(origin, year))
@@ -112,7 +109,7 @@ class MagnetometerConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
         )
 
     def _heading(self, m_b: Array, origin: Origin | None, year: float) -> Heading | None:
-        """The field in the body's axes against the one that is expected; None: neither origin nor declination is known."""
+        """The field in body axes against the expected one; None: no origin or declination."""
         noise, given = np.array([[math.radians(self.sigma_deg) ** 2]]), self.declination_deg
         if origin is None:
             return None if given is None else Heading(m_b, math.radians(given), noise, is_steep=True)
@@ -124,5 +121,4 @@ class MagnetometerConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
 
 @cache
 def _turned(rpy_deg: tuple[float, float, float]) -> Array:
-    """R_bm of a mounting."""
     return so3.matrix(so3.from_euler(*np.deg2rad(rpy_deg)))

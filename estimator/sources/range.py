@@ -1,9 +1,8 @@
-"""Range to the ground: height above flat ground, along the body's down axis.
+"""Range along the body's down axis: height above flat ground.
 
     z cos(tilt) = -p_d + s_0 + n,   cos(tilt) = e_d^T R_nb e_z
 
--s_0: height of the ground above the origin. It is unknown, so that the first reading sets it, and walks with the terrain; where
-ground_m gives it, the range is that above it.
+-s_0: ground height above the origin, set by the first reading and walking with the terrain, or ground_m.
 """
 
 import math
@@ -31,7 +30,7 @@ _Height: TypeAlias = Annotated[float, Meta(ge=-1e4, le=1e5)]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RangeDown(Conditional):
-    """z_m above ground of height ground_m; noise (1, 1); steepest: tilt beyond which it is not used, rad."""
+    """z_m above ground of ground_m; noise (1, 1); steepest: largest tilt used, rad."""
 
     z_m: float
     ground_m: float
@@ -44,7 +43,7 @@ class RangeDown(Conditional):
         return _FIRST
 
     def evaluate(self, x: Array, _: Array, /) -> tuple[Array, Array]:
-        """nu = z R_dz + ground + p_d;  H_pd = -1, H_theta = z e_d^T R [e_z]x. See Measurement."""
+        """nu = z R_dz + ground + p_d;  H_pd = -1, H_theta = z e_d^T R [e_z]x."""
         down_b, h = so3.matrix(x[X.Q])[2], np.zeros((1, E.SIZE))
         h[0, E.P.stop - 1] = -1.0
         h[0, E.THETA] = self.z_m * (down_b @ so3.skew(_DOWN_B))

@@ -47,7 +47,7 @@ class RestConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rest:
-    """psi_0 is near azimuth; gyro_b: mean rate (3,), rad/s; earth_n: rotation of the Earth in n, rad/s; noise (7, 7)."""
+    """psi_0 near azimuth; gyro_b: mean rate (3,), rad/s; earth_n: Earth rate in n, rad/s; noise (7, 7)."""
 
     azimuth: float
     gyro_b: Array
@@ -70,13 +70,13 @@ class Rest:
 
 
 def rest_aid(t_ns: int) -> Aid:
-    """The question whether the vehicle is at rest at t_ns, which the IMU samples before it answer."""
+    """Whether the vehicle rests at t_ns, answered by the IMU samples before it."""
     heading = SlowError(BLOCK, np.zeros((1, 1)), math.inf, np.eye(7)[:, :1], np.array([_WALK]))
     return asked(t_ns, TOPIC, [math.pi] + [10.0] * 3 + [1.0] * 3, (heading,))
 
 
 def is_quiet(u: Array) -> bool:
-    """Whether samples u (k, 6), gyro then accel, of a second are those of a vehicle at rest."""
+    """Whether samples u (k, 6), gyro then accel, of a second may be of rest."""
     deviation = u.std(axis=0)
     return bool(deviation[:3].max() < _GYRO and deviation[3:].max() < _ACCEL)
 
@@ -88,9 +88,9 @@ def at_rest(u: Array, azimuth: float, earth_n: Array, config: RestConfig) -> Res
 
 
 def objection(x: Array, cov: Array, config: RestConfig) -> str:
-    """Why the state x, P (n, n) does not confirm a rest; '' where it does: its velocity is known, and zero within 95 %.
+    """Why x, P (n, n) does not confirm a rest; '' where velocity is known, and zero within 95 %.
 
-    The gate of all seven components would let pass 0.3 m/s at a sigma of 0.07.
+    A gate of all seven components would pass 0.3 m/s at a sigma of 0.07.
     """
     if cov.diagonal()[E.V].max() >= _KNOWN_M_S**2:
         return "looks at rest, but the velocity is not known well enough to confirm it"

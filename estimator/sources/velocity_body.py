@@ -2,8 +2,8 @@
 
     z_b = (1 + k) (I + [m]x) (R_nb^T v + w x l) + n,   w = gyro - b_g
 
-l: from the IMU to the sensor. The scale error k and the misalignment m stay, and are considered. Wheels roll forward: components
-that the message does not give are zero, with a sigma, where across_sigma_m_s says so (non-holonomic constraint).
+l: IMU to sensor; scale error k and misalignment m last (considered). Missing components are zero with across_sigma_m_s, where
+given (non-holonomic constraint).
 """
 
 import math
@@ -36,7 +36,7 @@ class BodyVelocity:
     lever_b: Array
 
     def evaluate(self, x: Array, gyro_b: Array) -> tuple[Array, Array]:
-        """nu = z - R^T v - w x l;  H_v = R^T, H_theta = [R^T v]x, H_bg = [l]x. See Measurement."""
+        """nu = z - R^T v - w x l;  H_v = R^T, H_theta = [R^T v]x, H_bg = [l]x."""
         r_bn, h = so3.matrix(x[X.Q]).T, np.zeros((3, E.SIZE))
         v_b = r_bn @ x[X.V]
         h[:, E.V], h[:, E.THETA], h[:, E.BG] = r_bn, so3.skew(v_b), so3.skew(self.lever_b)

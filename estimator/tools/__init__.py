@@ -1,4 +1,4 @@
-"""Work on the ground: the demonstration, maps, overlays, checks before a flight, tuning; commands parse arguments and print.
+"""Ground tools: demonstration, maps, overlays, checks, tuning; commands parse and print.
 
 May import everything of estimator but commands and cli.
 """

@@ -1,6 +1,6 @@
-"""The demonstration: a flight over a village is simulated and drawn, replayed through the real pipeline, evaluated, reported.
+"""The demonstration: a simulated flight over a village, replayed, evaluated, reported.
 
-GPS is cut off at one third; then landmarks, a dark lens, and odometry over meadows. A replay without odometry is compared.
+GPS ends after one third; then landmarks, a dark lens, and odometry over meadows, compared with a replay without it.
 """
 
 from collections.abc import Callable
@@ -58,9 +58,9 @@ def demo(
     scenario: str | None = None,
     one_camera: bool = False,
 ) -> DemoResult:
-    """Fly the scenario (TOML text; default: the demonstration's) and write everything into `folder`.
+    """Fly the scenario (TOML text; default: the demonstration's), write all into `folder`.
 
-    one_camera: with the left camera of the scenario's rig alone.
+    one_camera: the left camera alone.
     """
     folder.mkdir(parents=True, exist_ok=True)
     log, config, estimate = (folder / name for name in ("input.mcap", "demo.toml", "estimate.mcap"))
@@ -86,7 +86,7 @@ def demo(
 
 
 def _plan(scenario: str, one_camera: bool) -> Scenario:
-    """The scenario of the text. Raises ValueError where it has no cameras, and one is to be used."""
+    """The parsed scenario. Raises ValueError where it lacks the wanted camera."""
     plan = loads(scenario, SCENARIO)
     if not one_camera:
         return plan
@@ -96,7 +96,6 @@ def _plan(scenario: str, one_camera: bool) -> Scenario:
 
 
 def _simulate(folder: Path, plan: Scenario, seed: int, progress: Progress) -> None:
-    """input.mcap and demo.toml; with cameras in the scenario map.geojson and rig.yaml too."""
     from estimator.replay import flight_images  # noqa: PLC0415  (slow to import, and not always needed)
 
     simulation = simulate(plan, seed)
@@ -110,7 +109,6 @@ def _simulate(folder: Path, plan: Scenario, seed: int, progress: Progress) -> No
 
 
 def _fly(folder: Path, config: Config, progress: Progress) -> tuple[ReplaySummary, str]:
-    """estimate.mcap, from images where there are any, and then overlay.png."""
     log, estimate, sheet = folder / "input.mcap", folder / "estimate.mcap", folder / "overlay.png"
     rig_file, map_file = config.rig.file, config.map.landmarks
     if rig_file is None or map_file is None:
@@ -135,7 +133,6 @@ def _fly(folder: Path, config: Config, progress: Progress) -> tuple[ReplaySummar
 
 
 def _report(folder: Path, without_odometry: Path | None, progress: Progress) -> Written:
-    """What it was worth: demo.png and report.html."""
     from estimator.tools.overlay.gallery import illustrations  # noqa: PLC0415
     from logs.evaluation import plots  # noqa: PLC0415  (matplotlib is slow to import, and not needed before)
 
@@ -170,6 +167,5 @@ def carried_by(collected: Collected, span: tuple[int, int]) -> str:
 
 
 def _part(progress: Stages, begin: float, end: float, stage: str) -> Progress:
-    """Progress of one stage as its share of the whole."""
     progress(begin, stage)
     return lambda fraction: progress(begin + (end - begin) * fraction, stage)

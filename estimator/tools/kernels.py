@@ -1,7 +1,4 @@
-"""Compiles all kernels of a flight or the demonstration that are not compiled yet, in two processes at a time.
-
-python -m estimator.tools.kernels
-"""
+"""Compiles missing kernels of flight and demonstration, two processes at a time: python -m estimator.tools.kernels"""
 
 import gc
 import sys
@@ -35,7 +32,7 @@ class KernelsError(Exception):
 
 
 def prepare(report: Report = lambda _, __: None, parts: Sequence[Callable[[], None]] = ()) -> None:
-    """Compile all where a source has changed; parts: a process each, two at a time (none: all). Raises KernelsError."""
+    """Compile all where a source has changed; parts: a process each (none: all). Raises KernelsError."""
     if compilation.is_current():
         return
     compilation.forget()
@@ -67,7 +64,6 @@ def prepare(report: Report = lambda _, __: None, parts: Sequence[Callable[[], No
 
 
 def _begun(part: Callable[[], None]) -> tuple[BaseProcess, Connection]:
-    """A process that compiles a part, and the names of its kernels."""
     ours, theirs = SPAWNED.Pipe(duplex=False)
     process = SPAWNED.Process(target=_compile, args=(theirs, part), name=f"landfix-compile{part.__name__}")
     process.start()
@@ -80,7 +76,6 @@ def _ready(pipes: list[Connection]) -> list[Connection]:
 
 
 def _compile(pipe: Connection, part: Callable[[], None]) -> None:
-    """A process: it reports what it compiles."""
     gc.disable()  # a sixth of the time: the compiler makes many objects, and few that refer to each other
     compilation.listen(lambda kernel, _: pipe.send(kernel))
     part()
@@ -88,7 +83,6 @@ def _compile(pipe: Connection, part: Callable[[], None]) -> None:
 
 
 def _seen_at_once() -> None:
-    """Outlines and poses."""
     _looks(0)
 
 
@@ -101,21 +95,18 @@ def _segmented() -> None:
 
 
 def _looks(k: int) -> None:
-    """With the k-th prior of the warm-up."""
     from estimator.service.vision.warm_up import PRIORS_M, warm_up  # noqa: PLC0415  (each process loads what it needs)
 
     warm_up(PRIORS_M[k : k + 1])
 
 
 def _flight() -> None:
-    """What estimates."""
     from estimator.service.warm_up import warm_up  # noqa: PLC0415
 
     warm_up()
 
 
 def _drawing() -> None:
-    """What simulates and draws."""
     from estimator.replay import flight_images  # noqa: PLC0415
     from models.sim.scenario import simulate  # noqa: PLC0415
     from models.sim.scenario_file import loads  # noqa: PLC0415

@@ -176,7 +176,6 @@ def dlt_command(
 
 
 def _points(path: Path) -> "tuple[Array, Array]":
-    """X Y Z and u v of a CSV file; a first line of names is skipped."""
     import numpy as np
 
     from calib.errors import CalibrationError
@@ -198,14 +197,12 @@ def _points(path: Path) -> "tuple[Array, Array]":
 
 
 def _placed(rig: "StereoRig", mount: "BodyPose | None") -> "StereoRig":
-    """The rig where it was said to be; as it is where nothing was said."""
     import msgspec
 
     return rig if mount is None else msgspec.structs.replace(rig, **mount._asdict())
 
 
 def _camera(camera: Any) -> dict[str, Any]:
-    """A camera for JSON."""
     import numpy as np
 
     sigma = np.sqrt(np.diagonal(camera.covariance)).tolist()
@@ -214,7 +211,6 @@ def _camera(camera: Any) -> dict[str, Any]:
 
 
 def _stereo_facts(result: "Stereo", rig: "StereoRig") -> dict[str, Any]:
-    """A rig for JSON; rig: with its place on the body."""
     return {
         "rms_px": result.solution.rms, "left_rms_px": result.solution.camera_rms(0),
         "right_rms_px": result.solution.camera_rms(1),

@@ -115,7 +115,7 @@ def camera_imu_command(
 
 
 def _config(path: Path | None) -> "Config":
-    """The configuration; without a file the noise of a usual MEMS IMU in the hand, not that of a vehicle in flight."""
+    """The configuration; without a file, the noise of a hand-held MEMS IMU, not that of a vehicle in flight."""
     from estimator.config import Config, Imu, load
 
     if path is not None:
@@ -124,7 +124,6 @@ def _config(path: Path | None) -> "Config":
 
 
 def _recording(log: Path, config: "Config", update: Callable[[float], None]) -> "Recording":
-    """The IMU samples of a log in body axes."""
     import numpy as np
 
     from calib.errors import CalibrationError
@@ -155,7 +154,6 @@ def _recording(log: Path, config: "Config", update: Callable[[float], None]) -> 
 
 
 def _toml(static: "Static") -> str:
-    """The noise as a configuration; what was not seen stays with its default."""
     values = static.config()
     lines = [f"{key} = {value:.6g}\n" for key, value in values.items()]
     lines += [f"# {key}: not seen in {static.duration_s:.0f} s\n" for key in ("gyro_walk", "accel_walk") if key not in values]

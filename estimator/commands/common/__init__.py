@@ -1,4 +1,4 @@
-"""What commands share: what is printed and how, where images come from, views of a board in them.
+"""Shared by commands: output, sources of images, views of a board.
 
 May import calib, logs and vision; no command.
 """

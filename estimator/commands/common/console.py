@@ -37,7 +37,7 @@ class Reported(Protocol):
 
 @contextmanager
 def progress(title: str) -> Iterator[Reported]:
-    """A bar on stderr; call the yielded function with the fraction done, and what is done now. Silent where it is no terminal."""
+    """A bar on stderr, silent without a terminal; yields a function of fraction done and current step."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
@@ -50,7 +50,7 @@ def progress(title: str) -> Iterator[Reported]:
 
 @contextmanager
 def kept_on_interrupt(outputs: "Callable[[], Sequence[Path]]") -> Iterator[None]:
-    """On Ctrl-C: say in one line which of these files this run has written so far, and exit with code 130."""
+    """On Ctrl-C, name the files that this run has written so far, and exit with code 130."""
     before = {path: _stat(path) for path in outputs()}
     try:
         yield
@@ -64,7 +64,6 @@ def kept_on_interrupt(outputs: "Callable[[], Sequence[Path]]") -> Iterator[None]
 
 
 def _stat(path: Path) -> tuple[int, int] | None:
-    """Time of the last change and size; None: no such file."""
     try:
         stat = path.stat()
     except OSError:

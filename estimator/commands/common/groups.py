@@ -8,7 +8,7 @@ _WHOLE = 1000  # characters: the formatter wraps, nothing is cut
 
 
 class Group(TyperGroup):
-    """A group of commands, listed by panel in the order of their registration, each with its whole first sentence."""
+    """Commands listed by panel in the order of registration, each with its whole first sentence."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002  (as click calls it)
         """The commands of the help, one section a panel."""

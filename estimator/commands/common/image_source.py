@@ -1,4 +1,4 @@
-"""Where a command gets images from: files, folders, patterns, videos, logs, a live camera; one at a time."""
+"""Images of files, folders, patterns, videos, logs or a live camera, one at a time."""
 # ruff: noqa: PLC0415  (imported where needed, so that --help is fast)
 
 import re
@@ -16,9 +16,9 @@ _LIVE_S, _LIVE_FOR_S = 0.7, 90.0  # a live camera: an image so often, for so lon
 
 
 class SourceImage(NamedTuple):
-    """key: what pairs it with the other camera's (a number in its name, frame, or stamp in ns); done: fraction of the source.
+    """key pairs it with the other camera's image (number in the name, frame, or stamp in ns); done: fraction of the source.
 
-    fault: why it cannot be read; its image is None then.
+    fault: why it cannot be read; image is then None.
     """
 
     name: str
@@ -37,7 +37,7 @@ def read_image(path: Path) -> Any:
 
 
 def read_images(sources: Sequence[str], topic: str, most: int = MOST_FRAMES) -> Iterator[SourceImage]:
-    """All images of the sources in order, of a video or log at most so many. Raises CalibrationError where there is none."""
+    """All images in order, at most `most` of a video or log. Raises CalibrationError where there is none."""
     files = files_of(sources)
     source: Iterator[SourceImage]
     for k, file in enumerate(files):
@@ -122,7 +122,7 @@ def is_live(source: str) -> bool:
 
 
 def live(sources: Sequence[str]) -> Iterator[tuple[SourceImage, ...]]:
-    """Images of one or more cameras, each time of all at once. Raises CalibrationError where one gives none."""
+    """Simultaneous images of one or more cameras. Raises CalibrationError where a camera gives none."""
     cameras = [_opened(source.removeprefix("camera:")) for source in sources]
     began, taken, count = time.monotonic(), -_LIVE_S, 0
     while (elapsed := time.monotonic() - began) < _LIVE_FOR_S and all(c.grab() for c in cameras):
@@ -160,7 +160,6 @@ def _log(path: Path, topic: str, most: int) -> Iterator[SourceImage]:
 
 
 def _of_record(schema: str, data: bytes, topic: str, done: float) -> SourceImage:
-    """The image in a sensor_msgs Image or CompressedImage."""
     from logs.wire import schemas
     from logs.wire.images import ImageError, decode_image
     from logs.wire.stamps import stamp_of

@@ -18,7 +18,7 @@ MountSigma = Annotated[str, typer.Option("--mount-sigma", metavar="M,DEG", help=
 
 
 def mount_of(place: str, sigma: str) -> "BodyPose | None":
-    """The camera on the body, R_bc = R(roll, pitch, yaw) FORWARD; None where nothing was said. Raises BadParameter."""
+    """Camera on the body, R_bc = R(roll, pitch, yaw) FORWARD; None where not given. Raises BadParameter."""
     import numpy as np
 
     from calib.files.formats import BodyPose

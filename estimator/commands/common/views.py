@@ -40,7 +40,7 @@ class _Gathered:
             self._without += [image.image] * (found is Why.NOT_FOUND and len(self._without) < _HINTS)
 
     def checked(self) -> tuple[list[Keyed], list[Dropped]]:
-        """Views with their keys, and what was not used. Raises CalibrationError where they are too few or of a larger board."""
+        """Views with their keys, and what was not used. Raises CalibrationError for too few, or a larger board."""
         _check_whole(self._board, self._shown)
         if len(self._views) < FEWEST:
             sizes = [size_seen(image, self._board) for image in self._without]
@@ -51,7 +51,7 @@ class _Gathered:
 def gather(
     sources: Sequence[str], topic: str, board: Board, progress: Callable[[float], None], most: int = MOST_FRAMES
 ) -> tuple[list[Keyed], list[Dropped]]:
-    """The views of the board with their keys, and the images that show none. Raises CalibrationError where too few do."""
+    """Views of the board with their keys, and images without it. Raises CalibrationError for too few."""
     gathered = _Gathered(board)
     for image in read_images(sources, topic, most):
         gathered.add(image)
@@ -78,7 +78,7 @@ def gather_pairs(
 
 
 def pair(left: Sequence[Keyed], right: Sequence[Keyed]) -> tuple[list[Pair], list[Dropped]]:
-    """Views of the same key, or nearest in time; and those without a partner. Raises CalibrationError where there are none."""
+    """Views of equal key or nearest time, and those without a partner. Raises CalibrationError where no pair is left."""
     keys = dict(right)
     if len(keys) < len(right) or len({key for key, _ in left}) < len(left):
         raise CalibrationError("two images of one camera have the same number; number them 01, 02, ... as their partners")
@@ -100,7 +100,7 @@ def pair(left: Sequence[Keyed], right: Sequence[Keyed]) -> tuple[list[Pair], lis
 
 
 def _check_whole(board: Board, shown: Sequence[Image]) -> None:
-    """Refuse a board that is a part of a larger one, the same in all of these images: which part is unknown."""
+    """Refuse images that all show the same part of a larger board."""
     size = size_around(shown[0], board) if shown else None
     if size is not None and all(size_around(image, board) == size for image in shown[1:]):
         raise CalibrationError(

@@ -246,7 +246,6 @@ def _say_built(the_map: "LandmarkMap", alike: "Alike | None", out: Path) -> None
 
 
 def _left_out(found: "MapReport | MapCheck") -> None:
-    """The rejected features one by one, the reasons counted, and the remarks."""
     from models.maps.table import reasons
 
     _findings("rejected", found.rejected)
@@ -283,6 +282,5 @@ def _print_check(map_file: Path, result: "MapCheck") -> None:
 
 
 def _more(count: int) -> None:
-    """How much of a table is not shown."""
     if count > _MOST_LINES:
         note(f"and {count - _MOST_LINES} more (--json lists all)")

@@ -72,7 +72,6 @@ def command(
 
 
 def _local(source: str) -> Path:
-    """The log as a file of this machine."""
     if "://" not in source:
         return Path(source)
     from estimator.tools.fleet.store import local_path

@@ -1,12 +1,11 @@
-"""A camera out of a photo's tags: a start, with how uncertain it is.
+"""An approximate camera from a photo's tags, with its standard deviations.
 
     f [px]   the maker's calibration (DewarpData, or CalibratedFocalLength)             0.3 %, 1 %
              focal length times the sensor's pixels in a mm                                  1.5 %
              w / W times the 35 mm equivalent, W of 36 mm or of a diagonal of 43.3 mm          3 %
 
-The 35 mm equivalent is of the width for sensors of 3:2 and of the diagonal for those of 4:3 (CIPA DCG-001); for a cropped
-height it is unknown which one, and the mean is taken. The principal point is in the middle, and the lens has no distortion,
-each with the standard deviation that drone cameras of no calibration have.
+The 35 mm equivalent is of the width at 3:2 and of the diagonal at 4:3 (CIPA DCG-001), for other aspects the mean of both.
+Principal point in the middle, no distortion.
 """
 
 from typing import Final, NamedTuple
@@ -35,7 +34,7 @@ class FromTags(NamedTuple):
 
 
 def camera_of(tags: Tags, width: int, where: str) -> FromTags:
-    """The camera of a photo, at so many pixels of width. Raises CalibrationError where the tags do not hold it."""
+    """The camera of a photo of `width` pixels. Raises CalibrationError where the tags do not hold it."""
     taken_w, taken_h = tags.taken_px
     if (
         abs(tags.width * taken_h / (tags.height * taken_w) - 1.0) > _SAME
@@ -60,7 +59,7 @@ def camera_of(tags: Tags, width: int, where: str) -> FromTags:
 
 
 def _dewarped(tags: Tags, width: int, height: int, scale: float) -> FromTags:
-    """DJI's calibration of this camera; (cx, cy) is from the middle; of a photo that is dewarped already the lens has none."""
+    """DJI's calibration of this camera, (cx, cy) from the middle; no distortion in a photo dewarped already."""
     assert tags.dewarp is not None
     fx, fy, cx, cy, *lens = tags.dewarp
     numbers = (scale * fx, scale * fy, 0.5 * (width - 1) + scale * cx, 0.5 * (height - 1) + scale * cy)

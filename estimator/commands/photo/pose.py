@@ -1,13 +1,11 @@
-"""Where a photo was taken, by its tags, and how uncertain that is.
+"""Pose of a photo from its tags, and its standard deviations.
 
     alt = ground + height above take-off,     or the height above the sea + N (EGM96), in this order
     sigma: 3 m north and east, 2 m and 5 % of the height (10 m of a height above the sea), 1.5 degrees of tilt, 3.5 of heading
 
 The body is the camera, level where it looks straight down with the photo's upper edge ahead: R_nb = R(roll, pitch, yaw of the
-gimbal) Ry(90 deg), so that a photo from straight above has small roll and pitch and an unambiguous yaw. The ground is the map's
-around the photo; that at the take-off point is assumed to be as high, which the 2 m are for. Where the camera gives its own sigma
-it is taken, doubled and at least 0.5 m, since trigger, antenna and datum are not in it. Of 12 photos of a Phantom 3 position was
-off by 0.6 to 1.5 m (the map has the same GPS), height by 2.4 to 3.7 m of 40, tilt by 1 to 2.6 degrees, heading by 1.3 to 3.7.
+gimbal) Ry(90 deg). The take-off point is assumed as high as the map's ground around the photo (the 2 m). A sigma from the camera
+is doubled and at least 0.5 m, for it excludes trigger, antenna and datum.
 """
 
 import math
@@ -36,10 +34,10 @@ def prior_of(
     tags: Tags, frame: Origin, ground_d: Callable[[float, float], float], height_m: float | None, where: str,
     camera_pitch_deg: float | None = None,
 ) -> Prior:  # fmt: skip
-    """The prior pose in n. ground_d(north, east): down of the map's ground there; height_m: above it, in place of the tags';
-    camera_pitch_deg: from the horizon, of a camera without a gimbal, whose heading is the aircraft's.
+    """Prior pose in n. ground_d(north, east): down of the ground; height_m: above it, replaces the tags'; camera_pitch_deg: from
+    the horizon, of a camera without a gimbal, heading of the aircraft.
 
-    Raises CalibrationError, one line, where the tags do not hold it.
+    Raises CalibrationError where the tags do not hold it.
     """
     if tags.lat_lon_deg is None:
         raise CalibrationError(f"{where}: no position in its tags (EXIF, XMP): give --prior LAT,LON,ALT,ROLL,PITCH,YAW")
@@ -63,7 +61,7 @@ def prior_of(
 
 
 def _attitude(tags: Tags, camera_pitch_deg: float | None, where: str) -> tuple[float, float, float]:
-    """Roll, pitch and yaw of the camera. A camera on no gimbal writes 0, 0, 0: the northern horizon."""
+    """Roll, pitch and yaw of the camera; 0, 0, 0 is what a camera without a gimbal writes."""
     if camera_pitch_deg is not None:
         if tags.flight_yaw_deg is None:
             raise CalibrationError(f"{where}: no heading of the aircraft in its tags: give --prior LAT,LON,ALT,ROLL,PITCH,YAW")
@@ -76,7 +74,6 @@ def _attitude(tags: Tags, camera_pitch_deg: float | None, where: str) -> tuple[f
 
 
 def _height(tags: Tags, ground_alt_m: float, height_m: float | None, where: str) -> tuple[float, float]:
-    """Above the ground, and its standard deviation [m]."""
     above = height_m if height_m is not None else tags.above_ground_m if tags.above_ground_m is not None else tags.above_takeoff_m
     if above is not None:
         return above, math.hypot(_HEIGHT_M, _HEIGHT_SHARE * above)

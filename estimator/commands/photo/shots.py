@@ -1,4 +1,4 @@
-"""What landfix locate looks at: images of a rig, photos or a video of one camera, each with its prior.
+"""Input of landfix locate: images of a rig, photos or a video of one camera, each with its prior.
 
 rig      --rig: a rig of two cameras, or one camera on the body; without it the camera of the first photo's tags
 prior    --prior, one for all or one for each; without it each photo's own tags, and then the body is the camera
@@ -51,7 +51,7 @@ class Given(NamedTuple):
 
 
 class Shot(NamedTuple):
-    """One image, or a pair. follows: a video's frame, whose prior is where the last fix was, as uncertain as the given one."""
+    """An image or a pair. follows: a video frame, whose prior is at the last fix with the given sigmas."""
 
     name: str
     t_ns: int
@@ -62,7 +62,7 @@ class Shot(NamedTuple):
 
 
 class Shots(NamedTuple):
-    """rig, and its images one by one, total of them at most; remarks: what was assumed, a line each."""
+    """rig, its images one by one, at most `total`; remarks: assumptions, a line each."""
 
     rig: StereoRig
     total: int
@@ -125,7 +125,6 @@ def take(given: Given, frame: Origin, ground_d: Callable[[float, float], float])
 
 
 def _of_rig(rig: StereoRig, files: list[Path], given: Given, frame: Origin) -> Shots:
-    """LEFT [RIGHT] of two cameras."""
     if len(files) > 2:
         raise typer.BadParameter(
             f"{len(files)} files: a rig of two cameras takes LEFT [RIGHT]; several photos are for one camera"
@@ -142,7 +141,7 @@ def _of_rig(rig: StereoRig, files: list[Path], given: Given, frame: Origin) -> S
 
 
 def _rig(first: Path, given: Given, tags: dict[Path, Tags], remarks: list[str]) -> StereoRig:
-    """One camera on the body; where the prior is of the camera itself, the body is the camera."""
+    """One camera on the body, or the body itself where the prior is the camera's."""
     mount = given.mount
     if given.rig is not None:
         rig = load_cameras(given.rig, mount if given.prior else BodyPose(DOWN, np.zeros(3), np.zeros((6, 6))))
@@ -172,7 +171,7 @@ def _camera_key(tags: Tags) -> tuple[object, ...]:
 
 
 def _one_turn(rig: StereoRig, files: list[Path], turns: list[int]) -> int:
-    """Quarters by which the mount of the sensor differs from that of the photo as it is shown. Raises CalibrationError."""
+    """Quarters between the mounts of the sensor and of the displayed photo. Raises CalibrationError."""
     left = {fitted.turns_left(path, rig.left, n) for path, n in zip(files, turns, strict=True)}
     if len(left) > 1:
         raise CalibrationError(
@@ -190,7 +189,6 @@ def _priors(
     ground_d: Callable[[float, float], float],
     remarks: list[str],
 ) -> list[Prior]:
-    """One for each file."""
     if given.prior:
         priors = [_prior(text, given.prior_sigma, frame) for text in given.prior]
         return priors * (len(files) if len(priors) == 1 else 1)
@@ -214,7 +212,7 @@ def _prior(text: str, sigma: str, frame: Origin) -> Prior:
 
 
 def _sigmas(text: str) -> list[float]:
-    """Horizontal and vertical [m], tilt and heading [deg], of four numbers, or of two: m and deg. Raises BadParameter."""
+    """Horizontal, vertical [m], tilt, heading [deg] of four numbers, or of two (m, deg). Raises BadParameter."""
     if text.count(",") == _BY_AXIS - 1:
         return numbers(text, _BY_AXIS, "--prior-sigma", "10,5,1,3")
     metres, degrees = numbers(text or _USUAL_SIGMA, 2, "--prior-sigma", _USUAL_SIGMA)
@@ -228,7 +226,6 @@ def _covariance(sigma: str) -> Array:
 
 
 def _photos(rig: StereoRig, files: list[Path], turns: list[int], priors: list[Prior], tags: dict[Path, Tags]) -> Iterator[Shot]:
-    """One image after the other, read when it is its turn."""
     t_ns, before = 0, None
     for path, turn, prior in zip(files, turns, priors, strict=True):
         taken = tags[path].taken_s if path in tags else None

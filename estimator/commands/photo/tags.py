@@ -1,11 +1,11 @@
-"""What a camera wrote into a photo: EXIF (CIPA DC-008) and the makers' XMP.
+"""Tags of a photo: EXIF (CIPA DC-008) and the makers' XMP.
 
     angles   DJI, Autel: Gimbal*Degree; Parrot: Camera*Degree           pitch 0 at the horizon, -90 straight down
              senseFly, Sentera, Pix4D: Camera:Yaw, Pitch, Roll          pitch 0 straight down
     height   RelativeAltitude: above the take-off point; AboveGroundAltitude; GPSAltitude, AbsoluteAltitude: above the sea
 
-All angles leave here as roll, pitch, yaw of a camera that looks ahead at (0, 0, 0), R_nb = Rz(yaw) Ry(pitch) Rx(roll), so that
-a camera that looks straight down has pitch -90 and the photo's upper edge towards `yaw`.
+Output angles: roll, pitch, yaw of a camera that looks ahead at (0, 0, 0), R_nb = Rz(yaw) Ry(pitch) Rx(roll); straight down is
+pitch -90, the photo's upper edge towards `yaw`.
 """
 # ruff: noqa: PLC0415  (imported where needed, so that --help is fast)
 
@@ -37,13 +37,12 @@ _EDITORS: Final = ("microsoft", "adobe", "gimp", "photos", "picasa", "lightroom"
 
 @dataclass(frozen=True, slots=True)
 class Tags:
-    """Of one photo; None where the camera wrote nothing usable.
+    """Tags of a photo, None where unusable.
 
-    taken_px: width and height when it was taken. Of the flight: lat_lon_deg; altitude_m above the sea, or the ellipsoid;
-    above_takeoff_m, above_ground_m; attitude_deg: roll, pitch, yaw; sigma_m: of the position, horizontal and vertical; taken_s:
-    of a clock without a zone. Of the camera: focal length in mm, in mm of a 35 mm film, in px (the maker's), px of the sensor in
-    a mm, dewarp: fx fy cx cy k1 k2 p1 p2 k3 with (cx, cy) from the middle, dewarped: whether that is taken out already, zoom:
-    digital. edited_by: a program that wrote the file after the camera.
+    taken_px: original width and height. lat_lon_deg; altitude_m above sea or ellipsoid; above_takeoff_m, above_ground_m;
+    attitude_deg: roll, pitch, yaw; sigma_m: horizontal, vertical; taken_s: local clock. Focal length in mm, in mm of 35 mm film,
+    in px (the maker's); px of the sensor in a mm; dewarp: fx fy cx cy k1 k2 p1 p2 k3, (cx, cy) from the middle; dewarped: already
+    applied; zoom: digital. edited_by: a later program.
     """
 
     width: int
@@ -71,7 +70,7 @@ class Tags:
 
 
 def read(path: Path) -> Tags:
-    """The tags of a photo, none where it has none. Raises OSError where the file cannot be read as an image."""
+    """Tags of a photo, possibly none. Raises OSError where the file cannot be read as an image."""
     from PIL import Image
 
     with warnings.catch_warnings(action="ignore"), Image.open(path) as photo:
@@ -115,7 +114,7 @@ def _tags(size: tuple[int, int], exif: Mapping[int, Any], gps: Mapping[int, Any]
 
 
 def _xmp(packet: bytes | str) -> dict[str, str]:
-    """Names without their space, "Camera:" kept where that is the space; empty for what is no XML, or declares entities."""
+    """Names without namespace, except "Camera:"; empty for invalid XML or entities."""
     data = packet.encode() if isinstance(packet, str) else packet
     data = data.strip(b"\0 \r\n\t")
     if not 0 < len(data) <= _MOST_XMP or b"<!" in data:
@@ -135,7 +134,7 @@ def _xmp(packet: bytes | str) -> dict[str, str]:
 
 
 def _attitude(xmp: Mapping[str, str], make: str) -> tuple[float, float, float] | None:
-    """Roll, pitch, yaw with the pitch from the horizon; a roll that is not there is 0."""
+    """Roll (0 if missing), pitch from the horizon, yaw."""
     for group in ("Gimbal{}Degree", "Camera{}Degree"):
         roll, pitch, yaw = (_of(xmp, group.format(axis)) for axis in ("Roll", "Pitch", "Yaw"))
         if pitch is not None and yaw is not None:
@@ -148,7 +147,7 @@ def _attitude(xmp: Mapping[str, str], make: str) -> tuple[float, float, float] |
 
 
 def _place(gps: Mapping[int, Any], xmp: Mapping[str, str]) -> tuple[float, float] | None:
-    """Latitude and longitude [deg]; XMP's have more digits. None for a receiver without a fix, which writes zeros or V."""
+    """Latitude and longitude [deg], XMP's first (more digits). None without a fix, which is written as zeros or V."""
     lat, lon = _of(xmp, "GpsLatitude"), _of(xmp, "GpsLongitude")
     if lon is None:
         lon = _of(xmp, "GpsLongtitude")  # as DJI spells it
@@ -190,7 +189,6 @@ def _dewarp(text: str) -> tuple[float, ...] | None:
 
 
 def _taken(text: str) -> float | None:
-    """2016:06:23 16:31:59 as seconds."""
     try:
         return datetime.strptime(text, "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC).timestamp()
     except ValueError:
@@ -198,7 +196,6 @@ def _taken(text: str) -> float | None:
 
 
 def _degrees(parts: Any, reference: Any, negative: str) -> float | None:
-    """Degrees, minutes, seconds."""
     try:
         numbers = [_number(part) for part in parts]
     except TypeError:
@@ -232,6 +229,5 @@ def _number(value: Any) -> float | None:
 
 
 def _text(value: Any) -> str:
-    """Tags end in zero bytes, some in hundreds."""
     text = value.decode("ascii", "ignore") if isinstance(value, bytes) else value if isinstance(value, str) else ""
     return text.partition("\0")[0].strip()

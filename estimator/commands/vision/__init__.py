@@ -1,4 +1,4 @@
-"""Commands that look at images: locate, measure, overlay, bench.
+"""Commands on images: locate, measure, overlay, bench.
 
 May import estimator.commands.common, estimator.bench, estimator.tools, vision and calib.
 """

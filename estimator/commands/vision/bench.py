@@ -72,7 +72,6 @@ def recognition(
 
 
 def _chosen(wanted: list[str] | None, known: tuple[_Name, ...], option: str) -> tuple[_Name, ...]:
-    """Those of the known names that are wanted, all where none is given."""
     for name in wanted or ():
         if name not in known:
             raise typer.BadParameter(f"'{name}' is none of {', '.join(known)}", param_hint=option)

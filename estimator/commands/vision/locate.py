@@ -177,7 +177,6 @@ def command(
 def _results(
     rig_file: Path | None, shots: "Shots", landmarks: "LandmarkMap", map_image: "MapImage | None"
 ) -> "list[tuple[Shot, Result]]":
-    """What is found in each image, one after the other, as a later one may confirm an earlier one."""
     from vision.recognisers import Recognisers
 
     try:
@@ -194,7 +193,6 @@ def _results(
 
 
 def _following(shot: "Shot", before: "list[tuple[Shot, Result]]") -> "Shot":
-    """A video's frame with the last fix as its prior; any other as it is."""
     import numpy as np
 
     from models import so3
@@ -208,7 +206,6 @@ def _following(shot: "Shot", before: "list[tuple[Shot, Result]]") -> "Shot":
 
 
 def _map(map_file: Path | None, known: "ImageFile | None") -> "tuple[LandmarkMap, MapImage | None]":
-    """Landmarks, none without a file of them, and the map's image in the same frame."""
     from estimator.map_files import image as image_store
     from estimator.map_files import store as map_store
     from models.maps.landmarks import LandmarkMap
@@ -224,7 +221,7 @@ def _map(map_file: Path | None, known: "ImageFile | None") -> "tuple[LandmarkMap
 
 
 def _ground_d(landmarks: "LandmarkMap", known: "MapImage | None", north: float, east: float) -> float:
-    """Down of the map's ground at a place: of the landmarks near there, else of the image's ground, else the origin's."""
+    """Down of the ground: of landmarks near by, else the image's, else the origin's."""
     import numpy as np
 
     rows = landmarks.rows_near(north, east, _AROUND_M)[:_NEAREST]
@@ -234,7 +231,6 @@ def _ground_d(landmarks: "LandmarkMap", known: "MapImage | None", north: float, 
 
 
 def _how_far(landmarks: "LandmarkMap", prior: "Prior") -> str:
-    """How far the map is from the prior, and whether latitude and longitude look exchanged."""
     import numpy as np
 
     def nearest_m(place: "Array") -> float:
@@ -312,7 +308,6 @@ def _as_json(landmarks: "LandmarkMap", prior: "Prior", result: "Result") -> dict
 
 
 def _photo_json(landmarks: "LandmarkMap", shot: "Shot", result: "Result") -> dict[str, Any]:
-    """One of several: outcome, and where it was taken, with the prior."""
     found: dict[str, Any] = {"file": shot.name, "outcome": result.report.outcome, "detail": result.report.detail}
     if result.fix is not None:
         pose = _as_json(landmarks, shot.prior, result)["with_prior"]
@@ -361,7 +356,6 @@ def _pose_rows(pose: dict[str, Any]) -> list[tuple[str, str]]:
 def _write_overlay(
     path: Path, image: "Image", rig: "StereoRig", landmarks: "LandmarkMap", prior: "Prior", result: "Result"
 ) -> None:
-    """The map drawn into the left image from the estimate, or from the prior where there is none."""
     import cv2
 
     from vision.describe.survey import to_8_bit

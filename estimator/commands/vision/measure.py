@@ -107,7 +107,6 @@ def _rectified(path: Path, rig: "StereoRig") -> "Rectification":
 
 
 def _name(bgr: tuple[float, float, float]) -> str:
-    """A colour in a word or two."""
     b, g, r = (x / 255.0 for x in bgr)
     hue, saturation, value = colorsys.rgb_to_hsv(r, g, b)
     if saturation < 0.2 or value < 0.12:
@@ -134,7 +133,6 @@ def _number(k: int, measured: "Measured") -> str:
 
 
 def _quantities(measured: "Measured") -> list[str]:
-    """Values with as many digits as their standard deviations deserve."""
     from vision.describe.measure import QUANTITIES
 
     texts = []
@@ -177,7 +175,6 @@ def _region(measured: "Measured") -> dict[str, Any]:
 
 
 def _write(path: Path, found: "Survey") -> None:
-    """The rectified left image with the measured regions outlined and numbered, the others in grey."""
     import cv2
 
     from vision.show.annotate import annotate

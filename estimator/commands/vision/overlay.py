@@ -59,7 +59,6 @@ def command(
 
 
 def _print(result: "OverlayResult") -> None:
-    """What a person reads."""
     left_out = f"; {result.without_estimate} have no estimate" if result.without_estimate else ""
     left_out += f"; {result.unreadable} cannot be read" if result.unreadable else ""
     rows = [

@@ -1,8 +1,8 @@
-"""From nothing to an aligned filter: what waits, what has been tried, and the filters that seek the heading.
+"""From nothing to an aligned filter.
 
-With a whole pose the filter starts at once; with a position it levels at rest or in motion and goes on with eight headings until
-one is left; a prior attitude, a course or a measured heading begins with that. It is aligned when attitude and velocity are known
-well enough and the stretch so far, run again, confirms the filter.
+A whole pose starts the filter at once. A position levels it, at rest or in motion, with eight headings until one is left; an
+attitude prior, a course or a measured heading replaces these. Aligned: attitude and velocity are known well enough, and the
+stretch so far, run again, confirms the filter.
 """
 
 import math
@@ -59,7 +59,7 @@ class Still:
 
 
 class Alignment:
-    """What alone the alignment remembers; the filters that it starts and judges are those of the core."""
+    """State of the alignment; the filters that it starts and judges are the core's."""
 
     def __init__(self, core: Core) -> None:
         self.core = core
@@ -79,7 +79,7 @@ class Alignment:
         self.plausibility = Plausibility(Phase.STARTING, _NO_START)
 
     def copy(self, core: Core) -> "Alignment":
-        """An independent one in the same state, of another core; what never changes in place is shared."""
+        """Independent copy with another core; immutable parts are shared."""
         other = object.__new__(Alignment)
         other.__dict__.update(self.__dict__)
         other.core = core
@@ -146,7 +146,7 @@ class Alignment:
         return Decision(Reason.ALIGNING)
 
     def take_prior(self, aid: Aid, z: Measurement) -> Decision:
-        """A prior waits for the position to begin with. Its errors repeat, so once begun it is no news."""
+        """Take a prior that waits for a position; its errors repeat, so it is not fused once begun."""
         if self.core.hypotheses is not None and not (self._seeks_heading or self._has_blurred):
             return Decision(Reason.THINNED, detail="for the alignment alone")
         if aid.t_ns < self.wrong_until_ns.get(aid.topic, NEVER):
@@ -165,7 +165,7 @@ class Alignment:
         self.prior = (core.t_ns, course, "") if course else None
 
     def wait_for_heading(self, aid: Aid, z: Measurement, gyro_b: Array) -> None:
-        """Keep what may be published without a heading: the bank that seeks it, or at rest one that does not."""
+        """What may be published without a heading: the bank that seeks it, or at rest one that does not."""
         core = self.core
         if core.is_aligned or core.hypotheses is not None or self.still is None:
             self.resting = None
@@ -189,7 +189,6 @@ class Alignment:
             core.last_absolute_ns = core.t_ns
 
     def _go_on(self, aid: Aid, z: Measurement, samples: ImuBuffer, gyro_b: Array) -> None:
-        """Aligned when enough is known, and the stretch, run again, confirms the filter."""
         core = self.core
         assert core.hypotheses is not None
         core.hypotheses.scale(core.variance_factor.value)
@@ -224,10 +223,10 @@ class Alignment:
             core.is_aligned = known and confirmed and self._is_known()
 
     def _follows(self, aid: Aid, seen: Innovation, limit: float, *, lasts: bool) -> bool:
-        """Fuse what the only filter has not foreseen, after another such one, for without fixes it reckons ever farther off.
+        """Fuse an unpredicted measurement after another one: the only filter drifts without fixes.
 
-        Once, and then while no three innovations in a row point the same way, two where the attitude is off by 30 degrees;
-        not after a filter was given up: an IMU that is wrong is not followed.
+        Once, and then while innovations do not persist in one direction (three in a row, two where the attitude is off by 30
+        degrees); not after a filter was given up: a wrong IMU is not followed.
         """
         core = self.core
         assert core.hypotheses is not None
@@ -240,7 +239,7 @@ class Alignment:
         return True
 
     def _note_contradiction(self, aid: Aid, z: Measurement, *, foreseen: bool) -> None:
-        """A position was foreseen by some filter or by none; the alignment begins again where the IMU turns out to be wrong."""
+        """Note whether any filter predicted a position; begin again where the IMU turns out wrong."""
         if not aid.absolute:
             return
         own_too = aid.topic == self.begun_by and self.core.conflicts.apart
@@ -255,7 +254,6 @@ class Alignment:
             self.given_up += 1
 
     def _contradicts_start(self, aid: Aid) -> bool:
-        """A source disagrees for long with the other one, at whose position the filter began."""
         return aid.topic != self.begun_by and aid.topic in self.core.conflicts.apart
 
     def begin_again(self) -> None:
@@ -265,7 +263,6 @@ class Alignment:
         self.contradiction, core.conflicts = NO_CONTRADICTION, Conflicts()
 
     def _is_known(self) -> bool:
-        """Attitude and velocity are known well enough."""
         core = self.core
         assert core.hypotheses is not None
         return initialise.aligned(core.hypotheses, core.config.initialise, sensed=self._senses_heading)
@@ -277,7 +274,7 @@ class Alignment:
         return not self.contradiction.unforeseen and core.t_ns - since_ns >= _PROVEN_NS * 3 ** min(self.given_up, _THRICE_AT_MOST)
 
     def _find_heading(self, aid: Aid, z: Position | Pose, at: Level, samples: ImuBuffer, gyro_b: Array) -> Decision:
-        """Wait while the vehicle rests; start the bank of headings, from the last rest if it was just now, when it moves."""
+        """Wait at rest; in motion start the bank of headings, from the last rest if it was just now."""
         core = self.core
         config = core.config.initialise
         if self._start_from_prior(z, at, samples) or self._start_from_sensed(z, at, samples):
@@ -299,13 +296,12 @@ class Alignment:
 
     @property
     def _seeks_heading(self) -> bool:
-        """Several headings are left, none decided."""
         core = self.core
         return not core.is_aligned and core.hypotheses is not None and len(core.hypotheses.members) > 1
 
     @property
     def _has_blurred(self) -> bool:
-        """One filter is left, and before it was aligned its attitude has become too uncertain, as in a gap of the IMU at rest."""
+        """A single unaligned filter's attitude has become too uncertain, as in a gap of the IMU at rest."""
         core = self.core
         if core.is_aligned or core.hypotheses is None or len(core.hypotheses.members) > 1:
             return False
@@ -314,11 +310,10 @@ class Alignment:
 
     @property
     def _may_begin_again(self) -> bool:
-        """Whether a prior may take the place of what there is: a course only that of a search."""
+        """Whether a prior may replace the present state: a course only that of a search."""
         return self._seeks_heading or (self.prior is not None and bool(self.prior[2]) and self._has_blurred)
 
     def _end_search(self, z: Position | Pose, samples: ImuBuffer) -> bool:
-        """Whether a prior that came during the search took its place."""
         core = self.core
         stretch = core.recent(samples)
         return stretch is not None and self._start_from_prior(
@@ -326,7 +321,7 @@ class Alignment:
         )
 
     def _start_from_prior(self, z: Position | Pose, at: Level, samples: ImuBuffer) -> bool:
-        """Whether there is an attitude to begin with: fresh, not against gravity, and none that a search has ruled out."""
+        """Start with a prior attitude that is fresh, agrees with gravity and was not ruled out by a search."""
         core = self.core
         if self.prior is None or core.t_ns - self.prior[0] > _FRESH_NS:
             return False
@@ -342,7 +337,7 @@ class Alignment:
         return begun is not None
 
     def _start_from_sensed(self, z: Position | Pose, at: Level, samples: ImuBuffer) -> bool:
-        """Whether it began at rest with the heading that is measured now; in motion, that weighs the headings of the bank."""
+        """Start at rest with the heading that is measured now; in motion it only weighs the bank."""
         core = self.core
         if not at.still or not self._senses_heading or self.sensed is None:
             return False
@@ -357,7 +352,7 @@ class Alignment:
         return begun is not None
 
     def check_sensor(self, aid: Aid, z: Measurement, samples: ImuBuffer, gyro_b: Array) -> None:
-        """Go on without the sensor that measures the heading, too, until motion has shown it to be right or wrong."""
+        """Keep a bank without the heading sensor, until motion shows the sensor right or wrong."""
         core = self.core
         beside, config = self.without_sensor, core.config.initialise
         if core.hypotheses is None:
@@ -378,7 +373,7 @@ class Alignment:
                 self._begin_beside(beside, z, samples)
 
     def _rests(self, beside: WithoutSensor, z: Measurement, samples: ImuBuffer) -> bool:
-        """Whether neither the IMU nor the positions show that the vehicle moves."""
+        """Whether neither the IMU nor positions show motion."""
         core = self.core
         if beside.since is None:
             return False
@@ -389,7 +384,7 @@ class Alignment:
         return stretch is not None and initialise.level(core.t_ns, stretch, core.config.initialise).still
 
     def _begin_beside(self, beside: WithoutSensor, z: Position | Pose, samples: ImuBuffer) -> None:
-        """At rest the headings begin anew, before they blur."""
+        """At rest, begin the headings anew before they blur."""
         core = self.core
         beside.began_ns, stretch = core.t_ns, core.recent(samples)
         if stretch is None:
@@ -404,18 +399,15 @@ class Alignment:
         beside.since = z if at.still else None
 
     def _all_headings(self, z: Position | Pose, at: Level) -> tuple[Hypotheses, Stretch]:
-        """The bank of headings at a position fix, and the stretch that will confirm one of them."""
         core = self.core
         start = core.t_ns, z, at, core.constants, core.config.initialise
         return initialise.start_from_position(*start), Stretch.of(initialise.heading_unknown(*start))
 
     @property
     def _senses_heading(self) -> bool:
-        """A magnetometer or two antennas gave a heading just now."""
         return self.sensed is not None and self.core.t_ns - self.sensed[0].t_ns <= _FRESH_NS
 
     def _has_moved(self, z: Measurement) -> bool:
-        """Whether a position fix is elsewhere than the first one of what was taken for rest; then it was none."""
         if self.still is None or not isinstance(z, Pose | Position):
             return False
         if not _differ(z, self.still.since):
@@ -425,12 +417,11 @@ class Alignment:
 
 
 def _contradicts_attitude(z: Measurement, seen: Innovation) -> bool:
-    """Whether the innovation of a whole attitude is larger than the noise of any fix."""
+    """Whether the innovation of a whole attitude exceeds the noise of any fix."""
     return isinstance(z, Pose) and z.attitude == "full" and float(np.linalg.norm(seen.nu[_XYZ:])) > _LARGEST_NOISE
 
 
 def _differ(z: Position | Pose, first: Position | Pose) -> bool:
-    """Whether two positions are too far apart for a vehicle that rests."""
     axes = slice(0, _XYZ)
     sigma = np.sqrt(np.diag(z.noise)[axes] + np.diag(first.noise)[axes])
     return not bool((np.abs(z.z_n - first.z_n) < _MOVED_SIGMA * sigma).all())

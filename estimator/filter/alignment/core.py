@@ -1,4 +1,4 @@
-"""What alignment and tracker share: the filters, what they run on, and what is known of sources of positions."""
+"""Shared by alignment and tracker: filters, constants, state of position sources."""
 
 from typing import Final, NamedTuple
 
@@ -23,9 +23,9 @@ _AIDED_NS: Final = 3_000_000_000  # after a position; then the mode is dead_reck
 
 
 class Decision(NamedTuple):
-    """What became of a measurement (the part of AidStatus that does not depend on arrival).
+    """Decision on a measurement: the part of AidStatus that does not depend on arrival.
 
-    position: the innovation of the position and its sigma, (3,) each, NED m; None where the measurement has none.
+    position: innovation and sigma of the position, (3,) each, NED m; None without one.
     """
 
     reason: Reason
@@ -77,7 +77,7 @@ class Core:
         return samples.u[begin:end]
 
     def last_sample(self, samples: ImuBuffer) -> Array | None:
-        """The last sample up to now, (6,), which none that comes later changes; None in a gap."""
+        """The last sample up to now, (6,), final; None in a gap."""
         last = samples.first_after(self.t_ns) - 1
         return samples.u[last] if last >= 0 and self.t_ns - samples.t_ns[last] <= self.gap_ns else None
 
@@ -96,7 +96,7 @@ class Core:
         self.hypotheses.scale(self.variance_factor.value)
 
     def relinearise(self, stretch: Stretch, samples: ImuBuffer) -> Stretch:
-        """The leading filter, linearised about what is known now, goes on; the stretch with the run noted, where it succeeded."""
+        """Relinearise the leading filter and go on with it; the stretch with the run noted, where it succeeded."""
         assert self.hypotheses is not None
         try:
             result = relinearise(stretch, self.hypotheses.lead, samples)

@@ -1,15 +1,14 @@
-"""From nothing to a first estimate that may be published.
+"""The first estimate.
 
 * A pose fix with attitude starts the filter at once.
-* A position without attitude: roll and pitch from the specific force over the last second,
+* A position: roll and pitch from the mean specific force of the last second,
 
       roll = atan2(-f_y, -f_z),  pitch = atan2(f_x, sqrt(f_y^2 + f_z^2))                              (Groves 2013, eq. 5.101)
 
-  and the heading from motion: eight filters, one for each eighth of the circle, are aided by the same GNSS; the wrong ones
-  predict accelerations that do not come true (Gaussian sum; Sorenson and Alspach 1971). It needs no assumption that the
-  vehicle flies nose first. While the vehicle stands still, levelling is repeated and nothing is started.
+  and the heading from motion: eight filters around the circle with the same GNSS; wrong ones predict accelerations that do
+  not occur (Gaussian sum; Sorenson and Alspach 1971). At rest levelling is repeated and nothing is started.
 
-The estimate is aligned when attitude and velocity are known well enough for the linearised filter to be consistent.
+Aligned: attitude and velocity are known well enough for linearisation.
 """
 
 import math
@@ -41,7 +40,7 @@ _HOPELESS = 12.0  # ln: a heading so far behind is dropped
 
 
 class InitialiseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """[initialise]: what is assumed before anything is known, and what must be known before anything is said."""
+    """[initialise]: assumptions before the start, and conditions for the first estimate."""
 
     velocity_sigma_m_s: Annotated[float, Meta(ge=1e-3, le=1000, description="m/s: of the unknown velocity at the start")] = 10.0
     gyro_bias_sigma: Annotated[float, Meta(ge=1e-6, le=10, description="rad/s: of the gyro bias at the start")] = 0.05
@@ -71,7 +70,7 @@ class InitialiseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """Roll, pitch [rad] and their sigma, gyro bias and its sigma, from a stretch of IMU; still: the vehicle was at rest."""
+    """Roll, pitch [rad] and sigma, gyro bias and sigma, from a stretch of IMU; still: at rest."""
 
     t_ns: int
     roll: float
@@ -83,9 +82,9 @@ class Level:
 
 
 def level(t_ns: int, u: Array, config: InitialiseConfig, *, may_rest: bool = True) -> Level:
-    """Judge a stretch of samples u (k, 6), gyro then accel, that ends at t_ns.
+    """Level from samples u (k, 6), gyro then accel, that end at t_ns.
 
-    may_rest: nothing else says that the vehicle moves; a gentle coordinated turn feels like rest.
+    may_rest: nothing else shows motion; a gentle coordinated turn looks like rest.
     """
     gyro, force = u[:, :3], u[:, 3:]
     f = force.mean(axis=0)
@@ -109,7 +108,7 @@ def level(t_ns: int, u: Array, config: InitialiseConfig, *, may_rest: bool = Tru
 
 
 def start_from_pose(t_ns: int, z: Pose, constants: Array, config: InitialiseConfig) -> Hypotheses:
-    """One filter at a pose fix that gives position and full attitude (and soon shows the gyro bias, so no rest is needed)."""
+    """One filter at a pose fix with position and full attitude; needs no rest for the gyro bias."""
     x, cov = _unknown(None, config)
     x[X.P], x[X.Q] = z.z_n, z.q_nb_wxyz
     r_nb = so3.matrix(z.q_nb_wxyz)
@@ -145,10 +144,10 @@ def start_from_attitude(
 def start_from_heading(
     t_ns: int, z: Position | Pose, at: Level, aid: Aid, seen: Heading, constants: Array, config: InitialiseConfig
 ) -> Hypotheses | None:
-    """One filter at a position fix, levelled, with the heading that is measured; None where that contradicts gravity.
+    """One levelled filter at a position fix with the measured heading; None where that contradicts gravity.
 
-    It begins with the measured heading and no knowledge of it, and fuses the measurement, which moves nothing but makes the
-    correlations with the tilt and with the errors that the next reading repeats.
+    It begins there without heading information and fuses the measurement, which sets the correlations with tilt and repeated
+    errors.
     """
     north, east = (so3.matrix(so3.from_euler(at.roll, at.pitch, 0.0)) @ seen.direction_b).tolist()[:2]
     begun = _levelled(t_ns, z, at, seen.azimuth - math.atan2(east, north), NO_HEADING, constants, config)
@@ -159,7 +158,7 @@ def start_from_heading(
 
 
 def agrees(bank: Hypotheses, prior: Pose) -> bool:
-    """Whether the attitude from outside is within reach of a heading that is left, as likely as that one is."""
+    """Whether an outside attitude is within reach of a remaining heading of equal likelihood."""
     for member in bank.members:
         r_nb = so3.matrix(member.filter.x[X.Q])
         off = so3.quat_log(so3.multiply(so3.conjugate(member.filter.x[X.Q]), prior.q_nb_wxyz))
@@ -177,7 +176,7 @@ def heading_unknown(t_ns: int, z: Position | Pose, at: Level, constants: Array, 
 def _levelled(
     t_ns: int, z: Position | Pose, at: Level, heading: float, sigma: float, constants: Array, config: InitialiseConfig
 ) -> Eskf:
-    """A filter at a position fix, roll and pitch from levelling; heading and its sigma in rad."""
+    """A levelled filter at a position fix; heading and its sigma in rad."""
     x, cov = _unknown(at, config)
     x[X.P], x[X.Q] = z.z_n, so3.from_euler(at.roll, at.pitch, heading)
     cov[E.P, E.P] = z.noise[:3, :3]
@@ -188,7 +187,6 @@ def _levelled(
 
 
 def _symmetric(cov: Array) -> Array:
-    """To the last bit."""
     return 0.5 * (cov + cov.T)
 
 
@@ -205,14 +203,14 @@ def _unknown(at: Level | None, config: InitialiseConfig) -> tuple[Array, Array]:
 
 
 def evidence(bank: Hypotheses, aid: Aid, z: Measurement, gyro_b: Array) -> float:
-    """ln of a reading's density to the bank: sum of w_k max(N(nu_k; 0, S_k), e u) / sum of w_k."""
+    """ln density of a reading: sum of w_k max(N(nu_k; 0, S_k), e u) / sum of w_k."""
     weights = [m.weight for m in bank.members]
     found = [max(innovation(m.filter, aid, z, gyro_b).log_likelihood, aid.log_false) for m in bank.members]
     return ln_sum([w + ll for w, ll in zip(weights, found, strict=True)]) - ln_sum(weights)
 
 
 def weigh(bank: Hypotheses, aid: Aid, z: Measurement, gyro_b: Array) -> Innovation:
-    """Every heading fuses the measurement and is weighed by how well it foresaw it; what the one saw that foresaw it best."""
+    """Fuse in every heading and weigh it by its prediction; the innovation of the best."""
     best_seen: Innovation | None = None
     for member in bank.members:
         seen = innovation(member.filter, aid, z, gyro_b)
@@ -232,10 +230,9 @@ def weigh(bank: Hypotheses, aid: Aid, z: Measurement, gyro_b: Array) -> Innovati
 
 
 def aligned(bank: Hypotheses, config: InitialiseConfig, *, sensed: bool = False) -> bool:
-    """Attitude (own uncertainty and spread of the headings that are left) and velocity are known well enough.
+    """Attitude (sigma and spread of headings) and velocity are known well enough.
 
-    sensed: a sensor measures the heading. That is what its sigma says, whereas one that accelerations show, and a bank of filters
-    that are linearised elsewhere, is claimed too early.
+    sensed: a sensor measures the heading, whose sigma counts; one from accelerations is overconfident.
     """
     attitude, velocity = _sigmas(bank)
     known = attitude < math.radians(config.heading_deg)
@@ -267,21 +264,21 @@ def lacks(bank: Hypotheses, config: InitialiseConfig) -> str:
 
 
 def _sigmas(bank: Hypotheses) -> tuple[float, float]:
-    """Standard deviations of the attitude [rad] and of the velocity [m/s], each about its worst axis."""
+    """Sigmas of attitude [rad] and velocity [m/s], each about the worst axis."""
     cov = np.diag(bank.lead.cov)
     attitude = math.sqrt(float(cov[E.THETA].max()) + _heading_spread(bank) ** 2)
     return attitude, math.sqrt(float(cov[E.V].max()))
 
 
 def _tilt_and_heading(bank: Hypotheses) -> tuple[float, float]:
-    """Standard deviations of the tilt, about its worse axis, and of the heading, rad."""
+    """Sigmas of the tilt, about its worse axis, and of the heading, rad."""
     r_nb = so3.matrix(bank.lead.x[X.Q])
     about_n = np.diag(r_nb @ bank.lead.cov[E.THETA, E.THETA] @ r_nb.T)
     return math.sqrt(float(about_n[:2].max())), math.sqrt(float(about_n[2]) + _heading_spread(bank) ** 2)
 
 
 def _heading_spread(bank: Hypotheses) -> float:
-    """Standard deviation of the members' headings about the leading one's, rad."""
+    """Standard deviation of the headings about the leading one's, rad."""
     weights = np.exp([m.weight for m in bank.members])
     yaw = np.array([so3.to_euler(m.filter.x[X.Q])[2] for m in bank.members])
     off = np.angle(np.exp(1j * (yaw - yaw[0])))

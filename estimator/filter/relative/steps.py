@@ -1,13 +1,12 @@
-"""Odometry in the hypotheses: keep the pose where an increment begins, judge and fuse the increment where it ends.
+"""Odometry in the hypotheses: keep the pose where an increment begins, fuse the increment where it ends.
 
-Every hypothesis keeps a pose of its own. An increment founds no new hypothesis. It changes the weights of those that there are by
-little:
+Each hypothesis keeps a pose of its own. An increment founds no hypothesis, and changes weights by c at most, for increments share
+errors:
 
     w_k <- w_k + max(l_k - max_j l_j, -c),   l = ln N(nu; 0, S), or ln of the density of a false one
 
-for the errors of its increments are alike, and a fault of the odometry must not outweigh positions. One that fails the gate is
-left out. Where increments contradict the estimate for good, the velocity by which they may be wrong is larger from then on. If no
-position decides who is right, the covariance covers what was said: P <- P + d d^T, d = K nu.
+One that fails the gate is left out. Lasting contradictions raise the velocity by which increments may be wrong; where no position
+decides, P <- P + d d^T, d = K nu.
 """
 
 from typing import NamedTuple
@@ -44,7 +43,7 @@ class Step(NamedTuple):
 
 
 def take(bank: Hypotheses, aid: OdometryAid, kept: Kept | None, state: SourceState, *, alone: bool) -> Step:
-    """One place of an odometry in the order; kept: what is kept for its topic; alone: no position confirms the filters."""
+    """One place of an odometry in the order; kept: of its topic; alone: no position confirms the filters."""
     motion = aid.motion
     if isinstance(motion, Begins):
         if kept is None or kept.until_ns <= aid.t_ns:
@@ -58,7 +57,7 @@ def take(bank: Hypotheses, aid: OdometryAid, kept: Kept | None, state: SourceSta
 
 
 def _pose(bank: Hypotheses, aid: OdometryAid, at: Posed, kept: Kept | None, state: SourceState, *, alone: bool) -> Step:
-    """A pose: the first of its frame, one too near to the kept one, or the end of an increment and the beginning of the next."""
+    """A pose: first of its frame, too near the kept one, or the end of one increment and start of the next."""
     begun = Kept(aid.t_ns, aid.t_ns, b"", at.epoch, at.pose, (aid.t_ns, at.pose, None))
     if kept is None or kept.pose is None or kept.epoch != at.epoch:
         return Step(Reason.THINNED, _BEGINS, _keep(bank, aid, kept, begun), state)
@@ -77,7 +76,7 @@ def _pose(bank: Hypotheses, aid: OdometryAid, at: Posed, kept: Kept | None, stat
 
 
 def _keep(bank: Hypotheses, aid: OdometryAid, before: Kept | None, now: Kept) -> Kept:
-    """Every filter keeps its pose; in another epoch nothing is known of the errors that stayed within the last one."""
+    """Every filter keeps its pose; errors constant within an epoch are unknown in the next."""
     stale = odometry.slow_blocks(aid.topic) if before is not None and before.epoch != now.epoch else ()
     for member in bank.members:
         for block in stale:
@@ -130,7 +129,6 @@ def _judge(bank: Hypotheses, aid: OdometryAid, end: Increment, kept: Kept, state
 
 
 def _fuse(bank: Hypotheses, aid: OdometryAid, seen: list[Innovation | None], passed: list[bool]) -> None:
-    """Every hypothesis that foresaw it fuses it."""
     said = [None if s is None else s.log_likelihood if p else aid.log_false for s, p in zip(seen, passed, strict=True)]
     best = max(t for t in said if t is not None)
     for member, s, was_passed in zip(bank.members, seen, passed, strict=True):

@@ -1,4 +1,4 @@
-"""Coordinates of a layer to longitude and latitude: our own formulas where they serve, else pyproj (landfix[geo])."""
+"""Layer coordinates to longitude and latitude: own formulas, else pyproj (landfix[geo])."""
 
 import re
 from collections.abc import Callable
@@ -45,7 +45,6 @@ def _transformer(crs: Any, where: str) -> Any:
 
 
 def _epsg(crs: Any) -> int:
-    """The EPSG code, 0 where it does not say one."""
     if isinstance(crs, dict):
         code = crs.get("id", {})
         return int(code["code"]) if code.get("authority") == "EPSG" and str(code.get("code")).isdecimal() else 0

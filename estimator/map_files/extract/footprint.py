@@ -1,4 +1,4 @@
-"""What every format is read into: outer rings in degrees with their properties; and the place that is wanted."""
+"""Common form of all formats: outer rings in degrees with properties; the place wanted."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -12,7 +12,7 @@ METRES_A_DEGREE = 111_320.0  # of latitude; of longitude at the equator
 
 
 class Footprint(NamedTuple):
-    """A polygon. ring: (n, 2) longitude, latitude [deg], holes left out; id: of the source, empty for none."""
+    """ring: (n, 2) longitude, latitude [deg], without holes; id: of the source, empty for none."""
 
     ring: Array
     properties: Mapping[str, Any]
@@ -35,7 +35,7 @@ class Place(NamedTuple):
 
     @property
     def boxes(self) -> list[tuple[float, float, float, float]]:
-        """West, south, east, north [deg] of a little more than the circle: one box, or two on the 180th meridian."""
+        """West, south, east, north [deg] around the circle: one box, or two at the 180th meridian."""
         high = 1.1 * self.radius_m / METRES_A_DEGREE
         wide = min(180.0, high / max(math.cos(math.radians(min(89.0, abs(self.lat_deg) + high))), 1e-3))
         south, north = max(-90.0, self.lat_deg - high), min(90.0, self.lat_deg + high)
@@ -53,7 +53,7 @@ def wrapped(lon_deg: Array) -> Array:
 
 
 def rings(kind: str, coordinates: Any) -> list[Array]:
-    """Outer rings (n, 2) of a GeoJSON geometry, the third coordinate left out. ValueError: its numbers make no sense."""
+    """Outer rings (n, 2) of a GeoJSON geometry, without heights. Raises ValueError."""
     polygons: Sequence[Any] = {"Polygon": [coordinates], "MultiPolygon": coordinates}.get(kind, [])
     return [_ring([point[:2] for point in polygon[0]]) for polygon in polygons if polygon and polygon[0]]
 

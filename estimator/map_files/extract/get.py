@@ -1,4 +1,4 @@
-"""Footprints around a place, from extracts, as a map of landmarks; each part of a multipolygon is one, holes are left out."""
+"""Footprints around a place as a landmark map; a landmark per part of a multipolygon, without holes."""
 
 import json
 import math
@@ -26,7 +26,7 @@ MOST: Final = 1_000_000  # landmarks of a map
 
 
 class Source(NamedTuple):
-    """A data set: its name, what must be said of where data are from, horizontal standard deviation of a footprint [m]."""
+    """A data set: name, required attribution, horizontal sigma of a footprint [m]."""
 
     name: str
     attribution: str
@@ -53,7 +53,7 @@ class Ground(NamedTuple):
 
 
 class Got(msgspec.Struct, frozen=True):
-    """The map's origin in data: read: polygons; sources: landmarks of each data set; attribution: required by licences."""
+    """read: polygons; sources: landmarks by data set; attribution: required by licences."""
 
     landmarks: int
     read: int
@@ -73,8 +73,7 @@ def get(
 ) -> tuple[LandmarkMap, Got]:
     """The map and what was found. Raises MapError without a footprint.
 
-    ground_alt_m: of the place above the ellipsoid; sigma_m: in place of the sources'; ground: heights of the landmarks' own
-    ground.
+    ground_alt_m: above the ellipsoid; sigma_m: replaces the sources'; ground: heights per landmark.
     """
     files = _files(source)
     features: list[dict[str, Any]] = []
@@ -131,7 +130,7 @@ def get(
 
 
 def credited(data: bytes, attribution: str) -> bytes:
-    """A map's file with the attribution of its data as a member of its own, which the licences ask for."""
+    """A map's file with the attribution of its data."""
     head = b'{"type":"FeatureCollection",'
     member = b'"attribution":' + msgspec.json.encode(attribution) + b"," if attribution else b""
     return head + member + data.removeprefix(head)
@@ -149,7 +148,6 @@ def _files(source: Path) -> list[Path]:
 
 
 def _footprints(path: Path, place: Place) -> Iterator[Footprint]:
-    """Those of a file. Raises MapError, whatever is wrong with it."""
     with refusing(MapError, path):
         for footprint in _reader(path, place):
             if np.isfinite(footprint.ring).all() and len(footprint.ring) > 0:
@@ -168,7 +166,6 @@ def _reader(path: Path, place: Place) -> Iterator[Footprint]:
 
 
 def _source(footprint: Footprint) -> Source:
-    """By the properties that only it has."""
     names = footprint.properties.keys()
     if footprint.id.startswith(("way/", "relation/")):
         return OSM
@@ -176,7 +173,6 @@ def _source(footprint: Footprint) -> Source:
 
 
 def _uncertain(the_map: LandmarkMap, spread_m: dict[str, float]) -> LandmarkMap:
-    """With the error of the ground below each landmark in the sigma of its roof."""
     c = the_map.columns
     sigma = np.hypot(c.height_sigma_m, [spread_m[name] for name in c.ids])
     columns = msgspec.structs.replace(c, height_sigma_m=sigma)
@@ -186,7 +182,6 @@ def _uncertain(the_map: LandmarkMap, spread_m: dict[str, float]) -> LandmarkMap:
 def _feature(
     footprint: Footprint, known: Source, sigma_m: float | None, ids: Counter[str], more: dict[str, Any]
 ) -> dict[str, Any]:
-    """As the map's file has it; the parts of one feature are numbered."""
     name = footprint.id or f"{known.name.split()[0].lower()}/{sum(ids.values()) + 1}"
     ids[name] += 1
     properties = {**footprint.properties, **more}

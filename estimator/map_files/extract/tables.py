@@ -1,6 +1,4 @@
-"""Formats of landfix[geo]: GeoPackage, Shapefile, OpenStreetMap files and others by GDAL, GeoParquet by Arrow, near the place
-only.
-"""
+"""Formats of landfix[geo] near the place: GeoPackage, Shapefile, OpenStreetMap and others by GDAL, GeoParquet by Arrow."""
 
 import json
 import re
@@ -46,7 +44,7 @@ def read_gdal(path: Path, place: Place) -> Iterator[Footprint]:
 
 
 def _check_head(path: Path) -> None:
-    """Refuse a file whose beginning contradicts its name: one of GDAL's formats names other files. Raises MapError."""
+    """Refuse content that contradicts the file name: a GDAL format may name other files. Raises MapError."""
     try:
         with opened(path) as file:
             head = file.read(_HEAD)
@@ -73,7 +71,6 @@ def _rows(path: Path, read: Any, crs: Any, *, with_tags: bool) -> Iterator[Footp
 
 
 def _plain(value: Any) -> Any:
-    """A number or a text; None for what is neither, or not given."""
     value = value.item() if isinstance(value, np.generic) else value
     if isinstance(value, float) and not np.isfinite(value):
         return None
@@ -110,7 +107,6 @@ def read_parquet(path: Path, place: Place) -> Iterator[Footprint]:
 
 
 def _near(table: Any, place: Place) -> list[int]:
-    """Rows whose bbox meets the place."""
     boxes = table["bbox"].combine_chunks()
     west, south, east, north = (np.asarray(boxes.field(key), float) for key in ("xmin", "ymin", "xmax", "ymax"))
     near = np.zeros(len(west), bool)
@@ -120,7 +116,6 @@ def _near(table: Any, place: Place) -> list[int]:
 
 
 def _named(table: Any, row: int) -> dict[str, Any]:
-    """Overture's name: names.primary."""
     names = table["names"][row].as_py() if "names" in table.column_names else None
     primary = names.get("primary") if isinstance(names, dict) else None
     return {"name": primary} if primary else {}

@@ -86,7 +86,6 @@ def _document(path: Path, document: Any) -> Iterator[Footprint]:
 
 
 def _feature(feature: Any, convert: ToLonLat | None) -> Iterator[Footprint]:
-    """Its polygons; none for a geometry that makes no sense."""
     geometry = feature.get("geometry") if isinstance(feature, dict) else None
     if not isinstance(geometry, dict):
         return
@@ -135,7 +134,7 @@ def _points(geometry: Iterable[Any]) -> list[_Point]:
 
 
 def _joined(lines: list[list[_Point]]) -> Iterator[Array]:
-    """Closed rings of ways that meet at their ends; each way is taken up once, by a table of ends."""
+    """Closed rings of ways that meet at their ends, each used once."""
     ends: dict[_Point, list[int]] = defaultdict(list)
     for k, line in enumerate(lines):
         for end in {line[0], line[-1]}:

@@ -1,9 +1,9 @@
-"""Polygons in well-known binary, the geometry of GeoPackage, GeoParquet and GDAL: outer rings only, heights left out.
+"""Polygons in well-known binary: outer rings only, without heights.
 
     byte order (1), type (uint32), then of a polygon: number of rings, of each the number of points and the points (doubles)
 
-Types: 3 polygon, 6 multipolygon; + 1000 z, + 2000 m, + 3000 both (ISO), or the top bits z, m, SRID (EWKB).
-Source: OGC 06-103r4, section 8.
+Types: 3 polygon, 6 multipolygon; + 1000 z, + 2000 m, + 3000 both (ISO), or the top bits z, m, SRID (EWKB). Source: OGC 06-103r4,
+section 8.
 """
 
 import struct

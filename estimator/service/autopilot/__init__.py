@@ -1,4 +1,4 @@
-"""Output to an autopilot, whatever the wire: its clock, the output policy, units and frames of its messages.
+"""Output to an autopilot: clock, output policy, units and frames of messages.
 
 May import estimator.service.base, logs and models.
 """

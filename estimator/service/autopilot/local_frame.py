@@ -1,7 +1,5 @@
-"""The autopilot's local frame: metres from the origin of its EKF (GPS_GLOBAL_ORIGIN, VehicleLocalPosition), height h0 above the
-sea.
-
-Both project a sphere on a plane (lat, lon in degrees, h above the sea):
+"""The autopilot's local frame, metres from its EKF's origin (GPS_GLOBAL_ORIGIN, VehicleLocalPosition), by spherical projection
+(lat, lon in degrees, h above the sea, h0 of the origin):
 
     ArduPilot (Location.cpp, get_distance_NE)      north = k (lat - lat0),  k = 111318.845 m
                                                    east  = k (lon - lon0) max(cos((lat + lat0) / 2), 0.01)
@@ -48,10 +46,7 @@ class LocalOrigin:
         self.place = None
 
     def pose(self, e: Estimate, geoid_m: float, *, is_px4: bool = False) -> tuple[Vec3, Array] | None:
-        """Position in that frame, m, and q_nb; None where its origin, or ours on Earth, is not known.
-
-        geoid_m: the geoid's height above the ellipsoid.
-        """
+        """Position in that frame [m] and q_nb; None where an origin is unknown. geoid_m: geoid above the ellipsoid."""
         origin, place = Origin.of(e.origin), self.place  # another thread may forget it meanwhile
         if place is None or origin is None:
             return None
@@ -62,9 +57,7 @@ class LocalOrigin:
         return (north, east, sea0 - (ellipsoid - geoid_m)), so3.multiply(so3.from_matrix(turn), so3.normalise(e.nav[X.Q]))
 
     def report(self, ours: tuple[float, float, float] | None, geoid_m: float, *, from_ours: bool = False) -> str:
-        """Distance from our origin for the status; ours: deg, deg, m; from_ours: odometry counts from ours while it is not
-        known.
-        """
+        """Distance from our origin, for the status; ours: deg, deg, m; from_ours: odometry counts from ours meanwhile."""
         place = self.place
         if place is None:
             return "not known: ODOMETRY " + ("is from ours" if from_ours else "has quality -1")

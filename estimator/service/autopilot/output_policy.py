@@ -73,7 +73,7 @@ class Px4Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class OutputPolicy:
-    """Notes what the estimator puts out; answers for the estimate at hand. One for each link: it keeps what was sent last."""
+    """Notes the outputs and answers for the present estimate; one per link, for it keeps what was sent."""
 
     def __init__(self, config: AutopilotConfig) -> None:
         self._config = config
@@ -114,9 +114,7 @@ class OutputPolicy:
         return self.integrity is not None and self.integrity.state is Alert.DO_NOT_USE
 
     def widened(self, estimate: Estimate) -> Estimate:
-        """The sigmas of the protection levels where alert limits are configured: P <- D P D, D = diag(s, s, v) on the position,
-        s, v >= 1.
-        """
+        """Sigmas of the protection levels where alert limits are set: P <- D P D, D = diag(s, s, v), s, v >= 1."""
         if self.integrity is None:
             return estimate
         P = estimate.covariance
@@ -158,7 +156,7 @@ class OutputPolicy:
 
 
 def _has_stepped(before: Estimate, p_before: Vec3, now: Estimate, p_n: Vec3) -> bool:
-    """Horizontally: heights come from a barometer in most set-ups, and an origin's height may drift."""
+    """Horizontal only: barometric heights and the origin's height drift."""
     dt_ns = now.t_ns - before.t_ns
     if not 0 < dt_ns <= _GAP_NS:
         return False
@@ -168,13 +166,13 @@ def _has_stepped(before: Estimate, p_before: Vec3, now: Estimate, p_n: Vec3) -> 
 
 
 def newest(outputs: Sequence[Output]) -> Estimate | None:
-    """The estimate among the outputs of one input, if there is one; none without a heading, which no message can leave out."""
+    """The newest estimate among outputs, None without a heading, which no message can omit."""
     known = (o for o in reversed(outputs) if isinstance(o, Estimate) and o.mode is not Mode.ALIGNING_HEADING)
     return next(known, None)
 
 
 def is_sound(e: Estimate) -> bool:
-    """Whether messages can be made of it: numbers of possible size, no negative variance, a rotation, an origin on Earth."""
+    """Whether messages can hold it: finite, valid variances and rotation, an origin on Earth."""
     lat, lon, alt = e.origin or (0.0, 0.0, 0.0)
     return bool(
         all(np.abs(numbers).max() <= _LARGEST for numbers in (e.nav, e.covariance, e.gyro_b))

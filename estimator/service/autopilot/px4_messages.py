@@ -1,4 +1,4 @@
-"""PX4's messages in XCDR1, little endian, fields in the order of the .msg file; definitions are kept for their hashes."""
+"""PX4's messages in XCDR1, little endian, fields as in the .msg file; definitions are kept for their hashes."""
 
 import math
 import struct
@@ -171,7 +171,7 @@ def vehicle_odometry(
 ) -> bytes | None:
     """The estimate in NED, attitude variances about the body's axes; None: a number does not fit.
 
-    pose: position and q_nb in PX4's frame (local_frame.py); v = R_pose R_nb^T v_n.
+    pose: position and q_nb in PX4's frame; v = R_pose R_nb^T v_n.
     """
     p_local, q_local = pose
     v_local = so3.matrix(q_local) @ so3.matrix(so3.normalise(e.nav[X.Q])).T @ e.nav[X.V]
@@ -204,7 +204,6 @@ def vehicle_global_position(e: Estimate, lla: Vec3, geoid_m: float, sent_us: int
 
 
 def _packed(layout: struct.Struct, *fields: float) -> bytes | None:
-    """None: a field is out of the range of its type, or no number."""
     if not all(map(math.isfinite, fields)):
         return None
     try:

@@ -1,4 +1,4 @@
-"""Shared by the daemon's parts: ports, clock, status, secrets. Begin with `ports`.
+"""Shared by the daemon's parts: ports, clock, status, secrets.
 
 May import estimator.strict_toml, logs and models; nothing else of the service.
 """

@@ -43,7 +43,7 @@ class ClockConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Clock:
-    """Nanoseconds since 1970 by the wall clock at the start, carried on by the monotonic clock.
+    """Nanoseconds since 1970: the wall clock at the start, carried on by the monotonic clock.
 
     anchor_ns: wall - steady of an earlier daemon of the same boot; wall, steady: for tests.
     """
@@ -63,7 +63,7 @@ class Clock:
         return self.anchor_ns + self._steady()
 
     def wall_ahead_ns(self) -> int | None:
-        """How far the wall clock has stepped ahead of this one; None where the reading was interrupted."""
+        """Step of the wall clock since the start; None where the reading was interrupted."""
         before = self._steady()
         wall = self._wall()
         after = self._steady()
@@ -72,7 +72,7 @@ class Clock:
 
 @dataclass(slots=True)
 class Offset:
-    """How far another clock is ahead; quickest_ns: least delay; ahead_ns: None before a message; bound_ns: of its error."""
+    """Offset of another clock; quickest_ns: least delay; ahead_ns: None before a message; bound_ns: of its error."""
 
     quickest_ns: int
     ahead_ns: int | None = None
@@ -103,7 +103,7 @@ class Offset:
         return None if self.ahead_ns is None else t_ns + self.ahead_ns
 
     def _look_for_step(self, ahead_ns: int, bound_ns: int) -> None:
-        """Two readings in a row that agree with each other and contradict the best one: what was known before is dropped."""
+        """Two consistent readings that contradict the best one replace it."""
         before, self._contrary = self._contrary, None
         if not self._best:
             return
@@ -116,7 +116,7 @@ class Offset:
             self.steps += 1
 
     def _observe(self, ahead_ns: int, bound_ns: int, now_ns: int) -> None:
-        """Of a window the reading with the narrowest bound counts, and of equal ones the quickest: delays have one sign."""
+        """The narrowest bound of a window counts, among equals the quickest: delays are positive."""
         reading = (-bound_ns, ahead_ns)
         if not self._best or now_ns - self._since_ns > _WINDOW_NS:
             self._best = [*self._best[-1:], reading]
@@ -147,10 +147,8 @@ class _Trial:
 class Stamps:
     """Times of validity on our clock, from plausible stamps.
 
-    Known clocks: the wall clock now and before its last step, and foreign ones more than a minute off but in step with their
-    arrivals. Of those with 0 <= lag <= late_s the lag most like the topic's last counts. A stamp off by less than a minute
-    stays as it is, and the
-    estimator refuses it.
+    Known clocks: the wall clock now and before its last step, and foreign ones more than a minute off but steady. Of those with 0
+    <= lag <= late_s the one with the topic's usual lag counts. A stamp less than a minute off is kept; the estimator refuses it.
     """
 
     def __init__(self, clock: Clock, config: ClockConfig) -> None:
@@ -175,7 +173,7 @@ class Stamps:
         return values
 
     def validity_ns(self, topic: str, stamp_ns: int, arrived_ns: int) -> int | None:
-        """The stamp of a message on our clock; None: it is of no clock that we know (yet)."""
+        """A message's stamp on our clock; None: of no known clock (yet)."""
         self._watch_wall()
         raw = arrived_ns - stamp_ns
         forced = topic in self._forced
@@ -194,7 +192,7 @@ class Stamps:
         return arrived_ns - lag
 
     def _watch_wall(self) -> None:
-        """Has the wall clock stepped? It is slewed together with the monotonic clock, so any difference is a step."""
+        """Detect steps of the wall clock; slewing affects the monotonic clock alike."""
         ahead = self._clock.wall_ahead_ns()
         if ahead is None or abs(ahead - self._wall[-1]) < _STEP_NS:
             return
@@ -202,7 +200,6 @@ class Stamps:
         self.steps += 1
 
     def _unknown(self, topic: str, stamp_ns: int, arrived_ns: int, *, forced: bool) -> int | None:
-        """No known clock made this stamp: is it one of a clock to be known?"""
         ahead = stamp_ns - arrived_ns
         if abs(ahead) < _MINUTE_NS and not forced:
             return stamp_ns

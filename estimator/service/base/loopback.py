@@ -1,10 +1,10 @@
-"""Whether a host is this machine itself: decided by the address, never by how its name begins."""
+"""Whether a host is this machine: by its address, not by the start of its name."""
 
 import ipaddress
 
 
 def is_loopback(host: str) -> bool:
-    """Of an address literal or the exact name localhost; any other name may lead anywhere (127.0.0.1.example, 127.1)."""
+    """An address literal or exactly localhost; other names may resolve anywhere (127.0.0.1.example, 127.1)."""
     if host == "localhost":
         return True
     try:

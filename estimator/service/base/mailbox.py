@@ -1,8 +1,8 @@
-"""The messages that wait for the loop: a bounded line for each topic, so that a flood delays only itself.
+"""Messages for the loop: a bounded queue per topic, so that a flood delays only itself.
 
     next = the oldest message among the lines that are not crowded; where all are crowded, the oldest of all
 
-A message that does not fit is dropped and counted, in a crowded line also one that repeats the one before.
+Dropped and counted: what does not fit, and repetitions in a crowded line.
 """
 
 import queue
@@ -22,7 +22,7 @@ _FULL: Final = 4096 * _LEAST  # ten seconds of it, half a second to handle
 
 
 class _Line:
-    """The messages of one topic that wait. Links count in and the loop counts out, so that neither waits for the other."""
+    """Waiting messages of one topic; lock-free: links count in, the loop counts out."""
 
     def __init__(self) -> None:
         self.waiting: deque[Arrival] = deque()
@@ -36,7 +36,7 @@ class _Line:
 
 
 class Mailbox:
-    """The Inbox of ports.py: any thread puts, the loop gets. Images go straight to the log, and to vision where it is used."""
+    """The Inbox of ports.py: any thread puts, the loop gets. Images go straight to log and vision."""
 
     def __init__(self, clock: Clock, log: Log, images: Sequence[str], mounting: ImuMounting) -> None:
         self._clock, self._log, self._images, self._mounting = clock, log, frozenset(images), mounting
@@ -89,7 +89,7 @@ class Mailbox:
         self._bell.put(None)
 
     def report(self) -> dict[str, int]:
-        """For the status. lost_inputs: what came faster than it could be handled; dropped: the same by topic."""
+        """For the status. lost_inputs: came faster than handled; dropped: by topic."""
         dropped = {topic: line.dropped for topic, line in sorted(self._lines.items()) if line.dropped}
         by_topic = {f"dropped {topic}": count for topic, count in dropped.items()}
         return {"waiting": len(self), "lost_inputs": sum(dropped.values())} | by_topic
@@ -117,7 +117,6 @@ class Mailbox:
 
 
 def _turn(line: _Line) -> tuple[bool, int]:
-    """Whose turn it is: the smallest."""
     return line.load > _CROWDED, line.waiting[0].arrived_ns
 
 

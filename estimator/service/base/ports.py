@@ -1,4 +1,4 @@
-"""The daemon's ports: Inbox (from the links' threads), Outbox (from the loop; does not block or raise) and Log."""
+"""The daemon's ports: Inbox (from links' threads), Outbox (from the loop; neither blocks nor raises), Log."""
 
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
@@ -8,7 +8,7 @@ from models.messages import Input, Output
 
 
 class Arrival(NamedTuple):
-    """A message as it came: ROS 2 CDR bytes, and when, on the daemon's clock (clock.Clock). own: from our own vision."""
+    """ROS 2 CDR bytes and arrival on the daemon's clock; own: from our own vision."""
 
     topic: str
     schema: str
@@ -25,7 +25,7 @@ class Inbox(Protocol):
         ...
 
     def put(self, message: Input) -> None:
-        """A measurement of a link without CDR; encoded first, so that estimator and log have the same bytes; it arrives now."""
+        """Put a measurement without CDR; it is encoded first, so estimator and log have the same bytes."""
         ...
 
 
@@ -33,7 +33,7 @@ class Outbox(Protocol):
     """Sends the outputs of the estimator."""
 
     def send(self, outputs: Sequence[Output], encoded: Sequence[Encoded]) -> None:
-        """What one input led to: as records (NED, FRD), and as the messages that are due, in CDR."""
+        """Send what one input led to: records (NED, FRD) and due messages in CDR."""
         ...
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""Passwords, passphrases and private keys, each in a file of its own that nobody but its owner may use."""
+"""Passwords, passphrases and private keys, each in a file that only its owner may access."""
 
 import shlex
 import stat

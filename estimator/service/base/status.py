@@ -1,4 +1,4 @@
-"""How the daemon itself is doing: latencies, rates, drops. Sent as /landfix/daemon, and as JSON on request."""
+"""The daemon's own state: latencies, rates, drops; /landfix/daemon, and JSON on request."""
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -62,11 +62,11 @@ class Status:
                 self._totals[reason] = self._totals.get(reason, 0) + 1
 
     def works(self, now_ns: int) -> bool:
-        """Whether estimates come out, or the reason for none is known (no IMU samples, or what Health or a refusal says)."""
+        """Estimates come out, or the reason for none is known (no IMU, Health, a refusal)."""
         return now_ns - self._sane_ns <= _SILENT_NS or now_ns - self._imu_ns > _SILENT_NS
 
     def _explains(self, message: Input, outputs: Sequence[Output]) -> bool:
-        """Whether an IMU sample, or a tick that took its place, led to an estimate or to a known reason for none."""
+        """An IMU sample, or a tick in its place, led to an estimate or a known reason for none."""
         for output in outputs:
             if isinstance(output, AidStatus) and output.reason is Reason.INTERNAL:
                 return False
@@ -105,7 +105,7 @@ class Status:
         return msgspec.json.encode({"daemon": self._values, "counts": totals, "health": self._health})
 
     def _latencies(self) -> dict[str, str]:
-        """From validity, and from arrival, to the estimate sent: median, 99 %, largest of the last few seconds."""
+        """Median, 99 % and largest latency from validity and from arrival, last few seconds."""
         if not self._latency_ns:
             return {}
         ms = np.array(self._latency_ns) * 1e-6
@@ -118,7 +118,6 @@ class Status:
 
 
 def _troubles(values: Mapping[str, str]) -> Iterator[str]:
-    """What needs attention."""
     if "estimator" in values:
         yield values["estimator"]
     if values.get("log state", "recording") not in {"recording", "off"}:

@@ -1,4 +1,4 @@
-"""The folder of the logs, locked by one daemon; torn logs of a killed one are repaired during the flight."""
+"""The folder of the logs, locked by one daemon; torn logs are repaired during the flight."""
 
 import fcntl
 import os
@@ -36,7 +36,7 @@ class FolderError(Exception):
 
 
 class FolderLock:
-    """The folder is ours as long as the lock file in it is the one that we have locked; a context that lets it go."""
+    """The folder is ours while we hold the lock of its lock file; a context manager."""
 
     def __init__(self, folder: Path) -> None:
         """Raises FolderError when it is another's."""
@@ -85,7 +85,7 @@ def torn_logs(folder: Path) -> list[Path]:
 
 
 def recover_in_background(folder: Path) -> subprocess.Popen[bytes] | None:
-    """A process of lowest priority that repairs them, or None; a damaged torn log is kept beside the repaired one."""
+    """Repair in a process of lowest priority, or None; the damaged log stays beside the repaired one."""
     torn = torn_logs(folder)
     if not torn:
         return None

@@ -1,4 +1,4 @@
-"""The last state on disk, twice a second, for a restart: the CDR bytes of the Checkpoint, and the clock that stamped it."""
+"""The last state on disk, twice a second: CDR bytes of the Checkpoint, and its clock."""
 
 import contextlib
 import os
@@ -24,7 +24,7 @@ _BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
 
 
 class SavedState(msgspec.Struct, frozen=True):
-    """The content of the file; config: checksum of the configuration, for a state of another one is not ours."""
+    """Content of the file; config: checksum of the configuration, which must be equal."""
 
     format: int
     boot: str
@@ -43,7 +43,7 @@ def boot_id() -> str:
 
 
 def load(path: Path, *, wall_ns: int | None = None, steady_ns: int | None = None) -> tuple[SavedState | None, str]:
-    """The state of the last daemon, or None and why it cannot be used; "" where there is no file."""
+    """The last daemon's state, or None with the reason; "" without a file."""
     try:
         saved = msgspec.msgpack.decode(_content(path), type=SavedState)
     except FileNotFoundError:
@@ -60,7 +60,6 @@ def load(path: Path, *, wall_ns: int | None = None, steady_ns: int | None = None
 
 
 def _content(path: Path) -> bytes:
-    """Of a regular file of a state's size, no link followed. Raises OSError, ValueError."""
     with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:  # noqa: PTH123
         about = os.fstat(file.fileno())
         if not stat.S_ISREG(about.st_mode) or about.st_size > _MOST_BYTES:
@@ -69,7 +68,7 @@ def _content(path: Path) -> bytes:
 
 
 def _absurd(saved: SavedState, wall_ns: int, steady_ns: int) -> str:
-    """Why the clock of a state cannot have been one: outside this boot, or far ahead of the wall clock."""
+    """Implausible clock of a state: outside this boot, or far ahead of the wall clock."""
     same_boot = bool(saved.boot) and saved.boot == boot_id()
     now_ns = saved.anchor_ns + steady_ns if same_boot else saved.t_ns
     if not 0 <= saved.t_ns < _LAST_NS or not 0 <= now_ns < _LAST_NS:
@@ -94,7 +93,7 @@ def usable(saved: SavedState | None, now_ns: int, config: str, oldest_s: float) 
 
 
 class StateKeeper:
-    """Writes the newest state every half second, on a thread of its own. problem: why it could not, empty if it could."""
+    """Writes the newest state every half second, on an own thread; problem: why it could not."""
 
     def __init__(self, path: Path, clock: Clock, config: str) -> None:
         self._path, self._clock, self._config, self._boot = path, clock, config, boot_id()

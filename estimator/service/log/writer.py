@@ -1,7 +1,7 @@
-"""The log's own thread: writes the loop's queue, flushes every 50 ms (a killed process loses less than 0.1 s), rotates files.
+"""The log's thread: writes the queue, flushes every 50 ms (kill -9 loses < 0.1 s), rotates files.
 
-When the disk is slow, outputs are left out first, then images, inputs last. When it is full or the file is removed, a new file
-begins as soon as possible, and the status counts it.
+A slow disk loses outputs first, then images, inputs last. After a full disk or removed file a new file begins as soon as
+possible.
 """
 
 import contextlib
@@ -75,7 +75,7 @@ class _Item(NamedTuple):
 
 
 class LogWriter:
-    """The Log of ports.py. name(n): the path of the n-th file; attachments and metadata go into every file."""
+    """The Log of ports.py. name(n): path of file n; attachments, metadata: in every file."""
 
     def __init__(
         self,
@@ -165,7 +165,6 @@ class LogWriter:
             self._lost_inputs += len(self._queue)
 
     def _beat(self) -> None:
-        """The thread goes on; a pause is counted."""
         now_s = time.monotonic()
         self._stalls += now_s - self._beat_s > _STALL_S
         self._beat_s = now_s
@@ -183,7 +182,6 @@ class LogWriter:
         self._beat()
 
     def _turn(self, now_s: float) -> None:
-        """Write all that waits, as far as the disk lets us."""
         try:
             if self._recorder is None and now_s >= self._retry_s:
                 self._begin_file(now_s)
@@ -224,7 +222,6 @@ class LogWriter:
         self._written += len(item.data)
 
     def _look_after(self, recorder: Recorder, now_s: float) -> None:
-        """Space, rotation, power cuts."""
         config = self._config
         if config.sync_s and now_s - self._sync_s >= config.sync_s and not (self._syncing and self._syncing.is_alive()):
             self._sync_s = now_s
@@ -270,7 +267,7 @@ class LogWriter:
         self._state, self._problem = "recording", ""
 
     def _hold_folder(self) -> None:
-        """Another daemon in the folder is said; its files have other names, and the flight is recorded all the same."""
+        """Claim the folder; beside another daemon use other names and record all the same."""
         self._shared = ""
         try:
             self._hold()
@@ -278,7 +275,7 @@ class LogWriter:
             self._shared = str(error)
 
     def _end_file(self) -> None:
-        """Index and end. Where they do not fit the file is torn, but has every message that was flushed."""
+        """Index and end; where they do not fit, the file is torn but has all flushed messages."""
         if self._recorder is not None:
             with contextlib.suppress(LogError):
                 self._recorder.close()
@@ -289,7 +286,6 @@ class LogWriter:
         self._state, self._problem, self._retry_s = "waiting for space", f"less than {least:g} MB free", now_s + _RETRY_S
 
     def _fail(self, problem: str, now_s: float) -> None:
-        """What was torn off waits for the next file."""
         removed = self._recorder is not None and (self._recorder.truncated or not self._recorder.is_in_place)
         self._removed_files += removed
         self._end_file()
@@ -299,7 +295,6 @@ class LogWriter:
         self._state, self._problem, self._retry_s = "failed", problem, now_s + _RETRY_S
 
     def _thin_out(self, folder: Path) -> None:
-        """Delete the oldest logs beyond keep_gb."""
         if not self._config.keep_gb:
             return
         logs = sorted(folder.glob("landfix-*.mcap"), key=lambda p: p.name, reverse=True)
@@ -315,7 +310,6 @@ def _free_mb(folder: Path) -> float:
 
 
 def _sync(path: Path) -> None:
-    """What the system holds of the file goes to the disk."""
     with contextlib.suppress(OSError):
         fd = os.open(path, os.O_RDONLY)
         try:

@@ -96,7 +96,7 @@ def stamp_ns(message: Any) -> int:
 
 
 def imu(message: Any, t_ns: int, topic: str) -> ImuSample | None:
-    """HIGHRES_IMU (SI), RAW_IMU of ArduPilot and SCALED_IMU, 2, 3 (mG, mrad/s); None: another instance, or not both triads."""
+    """HIGHRES_IMU (SI), ArduPilot's RAW_IMU and SCALED_IMU, 2, 3 (mG, mrad/s); None: other instance, incomplete."""
     gyro = message.xgyro, message.ygyro, message.zgyro
     accel = message.xacc, message.yacc, message.zacc
     if "id" in message.fieldnames and message.id != 0:  # SCALED_IMU has none: its id is that of the message
@@ -109,10 +109,7 @@ def imu(message: Any, t_ns: int, topic: str) -> ImuSample | None:
 
 
 def attitude(message: Any, t_ns: int, sigma_deg: tuple[float, float], topic: str) -> AttitudePrior:
-    """ATTITUDE, roll, pitch and heading in rad; sigma_deg: of its tilt and of its heading, for it gives none.
-
-    Raises ValueError for what are no angles.
-    """
+    """ATTITUDE [rad]; sigma_deg: of tilt and heading, not in the message. Raises ValueError."""
     angles = message.roll, message.pitch, message.yaw
     if not all(abs(angle) <= _TURN for angle in angles):
         raise ValueError("roll, pitch, yaw = {:g}, {:g}, {:g} rad: are no angles".format(*angles))
@@ -149,9 +146,9 @@ def gnss_velocity(message: Any, t_ns: int, topic: str) -> GnssVelocity | None:
 
 
 def odometry(e: Estimate, pose: Pose, time_usec: int, counter: int, quality: int, autopilot: int) -> Any:
-    """ODOMETRY in the autopilot's convention: body velocity, attitude variances about the body's axes.
+    """ODOMETRY as the autopilot expects: body velocity, attitude variances about the body's axes.
 
-    pose: position [m] and q_nb in its frame. With quality -1 ArduPilot gets its largest sigmas: VISO_QUAL_MIN -1 takes all.
+    pose: position [m] and q_nb in its frame. At quality -1 ArduPilot gets its largest sigmas (VISO_QUAL_MIN -1 takes all).
     """
     R_bn = so3.matrix(so3.normalise(e.nav[X.Q])).T
     p_n, q_nb = pose
@@ -217,7 +214,7 @@ def gps_input(e: Estimate, at: Place, time_usec: int, gps_id: int, utc_ns: int |
 
 
 def alert(integrity: Integrity, number: int) -> list[Any]:
-    """STATUSTEXT of the state and its reason, beyond 50 bytes in chunks; number: 1 to 65535, one for each text."""
+    """STATUSTEXT of state and reason, in chunks of 50 bytes; number: 1 to 65535 per text."""
     state = integrity.state
     words = f"landfix: {state}, {integrity.reason}" if integrity.reason else f"landfix: {state}, HPL {integrity.hpl_m:.1f} m"
     text = words.encode("ascii", "replace")
@@ -240,7 +237,7 @@ def _degrees_e7(at: Place) -> tuple[int, int]:
 
 
 def _position_covariance(message: Any) -> Array | None:
-    """Of h_acc and v_acc, mm, where given; else of eph and epv, which are 100 HDOP and 100 VDOP."""
+    """From h_acc and v_acc [mm], else eph and epv (100 HDOP, VDOP)."""
     if message.h_acc and message.v_acc:
         h, v = 1e-3 * message.h_acc, 1e-3 * message.v_acc
         return np.diag([h * h, h * h, v * v])
@@ -250,14 +247,12 @@ def _position_covariance(message: Any) -> Array | None:
 
 
 def _pressure(message: Any) -> tuple[float, ...] | None:
-    """Of a HIGHRES_IMU, hPa."""
     if message.id != 0 or not message.fields_updated & _PRESSURE:
         return None
     return (_HPA_PA * message.abs_pressure,)
 
 
 def _field(message: Any) -> tuple[float, ...] | None:
-    """Of a HIGHRES_IMU."""
     if message.id != 0 or message.fields_updated & _FIELD != _FIELD:
         return None
     return vec3(highres_field(np.array([[message.xmag, message.ymag, message.zmag]]))[0])
@@ -270,7 +265,7 @@ def _coarse_field(message: Any) -> tuple[float, ...] | None:
 
 
 def _azimuth(message: Any) -> tuple[float, ...] | None:
-    """Of two antennas, hundredths of a degree; 0: the receiver has none, 65535: not now, 36000: north."""
+    """Two antennas, centidegrees; 0: not available, 65535: not now, 36000: north."""
     return None if message.yaw in {0, _UNKNOWN} else (math.radians(1e-2 * message.yaw),)
 
 
@@ -283,12 +278,11 @@ def _range(message: Any) -> tuple[float, ...] | None:
 
 
 def _indicated(hectopascal: float) -> tuple[float, ...]:
-    """Indicated airspeed [m/s] of a dynamic pressure."""
     return (float(indicated_airspeed(np.array(_HPA_PA * hectopascal))),)
 
 
 def _airspeed(message: Any) -> tuple[float, ...] | None:
-    """Of a HIGHRES_IMU; not of ArduPilot's: there it is how much the static pressure is below that on the ground."""
+    """HIGHRES_IMU of PX4; ArduPilot sends the static pressure's difference to the ground there."""
     return _indicated(message.diff_pressure) if message.id == 0 and message.fields_updated & _DIFF_PRESSURE else None
 
 

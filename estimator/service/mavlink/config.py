@@ -90,7 +90,7 @@ class Serial(NamedTuple):
 
 
 def address_of(config: MavlinkConfig) -> Udp | Serial:
-    """What the endpoint names. Raises ConfigError where it names nothing, at no known speed, or the whole network unsigned."""
+    """The endpoint's address. Raises ConfigError: malformed, unknown speed, or open to the network unsigned."""
     kind, _, rest = config.endpoint.partition(":")
     if config.endpoint.startswith("/"):
         if config.baud not in BAUDS:

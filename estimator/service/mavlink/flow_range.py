@@ -1,4 +1,4 @@
-"""Range to the ground for a flow: of the message, a range finder, or the filter's height above level ground.
+"""Range to the ground for optical flow: of the message, a range finder, or height above level ground.
 
 r = h / (R_nb)_zz,   h = -p_d - ground_m,   sigma_r^2 = (P_pd + sigma_ground^2) / (R_nb)_zz^2
 """
@@ -17,7 +17,7 @@ _LARGEST_SHARE: Final = 0.3  # an error of scale beyond it is not one that is es
 
 
 class FlowRange:
-    """Of one vehicle. level: height of level ground above the map's origin, and its 1-sigma, m; None: not known."""
+    """level: level ground above the map's origin and its 1-sigma, m; None: unknown."""
 
     def __init__(self, level: tuple[float, float] | None) -> None:
         self._level = level

@@ -1,7 +1,7 @@
-"""The autopilot's messages that are measurements, their topics, and which have to be requested.
+"""The autopilot's messages as measurements: topics, and which to request.
 
-The IMU is HIGHRES_IMU, else RAW_IMU (ArduPilot) or SCALED_IMU in steps of 0.01 m/s^2 and 0.001 rad/s (`coarse`); the second and
-third IMU are SCALED_IMU2 and SCALED_IMU3.
+IMU: HIGHRES_IMU, else RAW_IMU (ArduPilot) or SCALED_IMU (`coarse`: 0.01 m/s^2, 0.001 rad/s); SCALED_IMU2, SCALED_IMU3 are the
+others.
 """
 
 from collections.abc import Iterator
@@ -98,7 +98,7 @@ class Inputs:
         self._began_ns, self._imu_us, self._denied = None, self._fastest_us, False
 
     def deny(self) -> None:
-        """The autopilot will not send a message as often as it was asked to; which one it does not say."""
+        """Note a denied rate; the autopilot does not name the message."""
         self._denied = True
 
     def requests(self, now_ns: int, autopilot: int | None) -> Iterator[tuple[int, int]]:
@@ -149,7 +149,6 @@ class Inputs:
             self._states[_RECEIVERS[message.id]] = codec.receiver_state(message), now_ns
 
     def _state(self, number: int, now_ns: int) -> ReceiverState:
-        """The flags of the receiver of this message, unless they are too old to count."""
         state, heard_ns = self._states.get(number, (ReceiverState.UNKNOWN, _NEVER))
         return state if now_ns - heard_ns <= _MISSING_NS else ReceiverState.UNKNOWN
 
@@ -162,7 +161,7 @@ class Inputs:
             yield measured
 
     def _sensors(self, message: Any, name: str, t_ns: int, autopilot: int | None) -> Iterator[Input]:
-        """A reading that is repeated with every IMU sample is one reading."""
+        """A reading repeated with every IMU sample counts once."""
         for kind, read in codec.SENSORS[name].items():
             if (name, kind, autopilot) == ("HIGHRES_IMU", "airspeed", codec.ARDUPILOT):
                 continue
@@ -177,7 +176,6 @@ class Inputs:
         return {"imu": self.imu_kind + coarse}
 
     def _missing(self, now_ns: int, autopilot: int | None) -> dict[int, int]:
-        """What is wanted, and how often."""
         wanted = {mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: round(_MICRO / _SYSTEM_TIME_HZ)}
         if self._needs_origin and (autopilot == codec.ARDUPILOT or (autopilot == codec.PX4 and self._sends_odometry)):
             wanted[_ORIGIN] = round(_MICRO / _ORIGIN_HZ)
@@ -197,11 +195,11 @@ class Inputs:
         return wanted
 
     def _is_best(self, kind: str, now_ns: int, autopilot: int | None) -> bool:
-        """One kind at a time: the coarse one, in physical units, only while the good one does not come."""
+        """The coarse kind counts only while the good one is absent."""
         return kind == "HIGHRES_IMU" or (_IMUS[kind] == _coarse_of(autopilot) and self._is_gone(_IMU, now_ns))
 
     def _slow_down(self, now_ns: int) -> None:
-        """Requests the IMU less often: ArduPilot denies more than 80 % of the rate of its loop."""
+        """Request the IMU less often: ArduPilot denies above 80 % of its loop rate."""
         asked_ns = self._asked.get(_IMU, now_ns)
         if self._denied and now_ns - asked_ns > _MISSING_NS and self._heard.get(_IMU, _NEVER) < asked_ns:
             self._imu_us, self._denied = next((us for us in _SLOWER_US if us > self._imu_us), self._imu_us), False
@@ -211,7 +209,6 @@ class Inputs:
         return autopilot != codec.ARDUPILOT or _ORIGIN in self._heard
 
     def _is_gone(self, number: int, now_ns: int) -> bool:
-        """Asked for in vain for a while."""
         since_ns = max(self._heard.get(number, _NEVER), self._began_ns or _NEVER)
         return self._began_ns is not None and now_ns - since_ns > _MISSING_NS
 

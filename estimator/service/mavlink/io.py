@@ -1,4 +1,4 @@
-"""Bytes in and out of MAVLink: a UDP socket or a serial device. Sending never blocks; what does not fit is dropped."""
+"""MAVLink bytes over a UDP socket or serial device; sending never blocks, excess is dropped."""
 
 import os
 import select
@@ -138,7 +138,7 @@ class SerialEndpoint:
         return Heard(data, None)
 
     def send(self, data: bytes, receiver: Any) -> bool:  # noqa: ARG002  (there is only one)
-        """To the other end of the wire; all, or nothing but the rest of a frame begun."""
+        """Send all or nothing, apart from the rest of a frame begun."""
         fd = self._fd
         if fd is None:
             return False

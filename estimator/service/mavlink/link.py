@@ -1,4 +1,4 @@
-"""The link to an autopilot: sensors in, odometry and fixes out, clock and requests, on one thread; sending never waits."""
+"""The autopilot link: sensors in, odometry and fixes out, clock and requests, on one thread that never waits to send."""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -65,9 +65,7 @@ class MavlinkLink:
         say: Callable[[str], None] = lambda _: None,
         level: tuple[float, float] | None = None,
     ) -> None:
-        """say: prints a line, never waits; level: of the ground, see FlowRange. Raises ConfigError for odometry_from itself or
-        the autopilot.
-        """
+        """say: prints a line, never waits; level: see FlowRange. Raises ConfigError for odometry_from itself or the autopilot."""
         if clash := set(config.odometry_from) & {config.component, *config.listen_to}:
             raise ConfigError(f"mavlink.odometry_from = {min(clash)}: is the autopilot or landfix itself: name another component")
         self._config, self._clock, self._policy, self._geoid_m = config, clock, policy, geoid_m
@@ -164,7 +162,6 @@ class MavlinkLink:
         }
 
     def _odometry(self, estimate: Estimate, time_usec: int, autopilot: int) -> Any:
-        """In the frame of the autopilot; not to be used while that is not known."""
         is_ardupilot = autopilot == codec.ARDUPILOT
         self._map_origin = estimate.origin
         ours = vec3(estimate.nav[X.P]), so3.normalise(estimate.nav[X.Q])
@@ -179,7 +176,7 @@ class MavlinkLink:
         return codec.odometry(estimate, pose, time_usec, counter, quality, autopilot)
 
     def _tell_alert(self) -> None:
-        """A change of the state of integrity, as STATUSTEXT; again with the next estimate where a part of it did not go out."""
+        """Send changes of the integrity state as STATUSTEXT; again where a part failed."""
         now = self._policy.integrity
         if now is None or now.state is self._alerted:
             return
@@ -188,7 +185,7 @@ class MavlinkLink:
             self._alerted = now.state
 
     def _announce(self, estimate: Estimate, quality: int, *, knows_frame: bool) -> None:
-        """Whether the autopilot may use the odometry, and why not, when that changes, once a second at most."""
+        """Say whether the autopilot may use the odometry, on change, at most once a second."""
         radius_m = float(horizontal_radius(estimate.covariance[None, :2, :2])[0])
         if quality >= 0:
             line = "odometry may be used"
@@ -221,7 +218,6 @@ class MavlinkLink:
         self.sent_fixes += self._tell(message)
 
     def _tell(self, message: Any) -> bool:
-        """Whether it went out; if not, it is counted and forgotten."""
         with self._sending:
             if self._stopping:
                 return False
@@ -234,7 +230,6 @@ class MavlinkLink:
         return went
 
     def _run(self, inbox: Inbox) -> None:
-        """The thread."""
         while not self._stopping:
             try:
                 self._turn(inbox)
@@ -251,7 +246,7 @@ class MavlinkLink:
         self._speak(now_ns)
 
     def _judge(self, message: Any, now_ns: int, inbox: Inbox) -> None:
-        """Take it; one that cannot be taken is refused with the reason, and costs none of those that came with it."""
+        """Take a message, or refuse it with its reason, without loss of others."""
         try:
             self._take(message, now_ns, inbox)
         except Exception as error:  # a peer's bytes may raise what no check covers
@@ -297,7 +292,7 @@ class MavlinkLink:
                     inbox.put(measurement)
 
     def _take_odometry(self, message: Any, now_ns: int, inbox: Inbox) -> None:
-        """Of another component, whose stamps are on our clock, or else on the autopilot's."""
+        """Another component's odometry, stamped on our clock, or else on the autopilot's."""
         stamp_ns = codec.stamp_ns(message)
         for t_ns in (stamp_ns, self._boot.offset.ours(stamp_ns)):
             if t_ns is not None and abs(t_ns - now_ns) <= _IMPLAUSIBLE_NS:
@@ -307,7 +302,6 @@ class MavlinkLink:
         self.implausible_companions += message.get_type() in _ODOMETRIES
 
     def _ask_again(self) -> None:
-        """The autopilot may be another one, or have begun again."""
         self._inputs.ask_again()
         self._local.forget()
         self._since_ns = self._clock.now_ns()
@@ -338,7 +332,7 @@ class MavlinkLink:
         self._unix_ahead_ns = unix_ns - now_ns if dated else None
 
     def _speak(self, now_ns: int) -> None:
-        """What is due of ourselves: HEARTBEAT, TIMESYNC, and requests of messages that do not come."""
+        """Send what is due: HEARTBEAT, TIMESYNC, requests of missing messages."""
         if now_ns >= self._next_heartbeat_ns:
             self._next_heartbeat_ns = now_ns + _HEARTBEAT_NS
             kind, none = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
@@ -356,7 +350,6 @@ class MavlinkLink:
 
 
 def _request(system: int, number: int, period_us: int) -> Any:
-    """SET_MESSAGE_INTERVAL."""
     command, autopilot = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAV_COMP_ID_AUTOPILOT1
     return mavlink.MAVLink_command_long_message(system, autopilot, command, 0, number, period_us, 0, 0, 0, 0, 0)
 

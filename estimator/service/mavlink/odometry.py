@@ -22,7 +22,7 @@ def camera(steps: CameraSteps, message: Any, t_ns: int) -> list[OdometryDelta]:
 
 
 def flow(steps: FlowSteps, message: Any, t_ns: int, at: Range | None) -> list[OdometryDelta]:
-    """OPTICAL_FLOW_RAD, at the range `at`; a quality of 0 is none. Raises ValueError for what is no flow or has no range."""
+    """OPTICAL_FLOW_RAD at the range `at`; quality 0: none. Raises ValueError."""
     turn = np.array([message.integrated_xgyro, message.integrated_ygyro, message.integrated_zgyro])
     seen = np.array([message.integrated_x, message.integrated_y])
     return steps.add(t_ns, message.integration_time_us * _US_NS, seen, turn, at) if message.quality else []
@@ -34,7 +34,7 @@ def wheels(ways: Wheels, message: Any, t_ns: int) -> list[Reading]:
 
 
 def pose(message: Any, t_ns: int, topic: str) -> OdometryPose | None:
-    """ODOMETRY of a camera, lidar or wheels; None: of something else, or lost. Raises ValueError for what is no pose."""
+    """ODOMETRY of a camera, lidar or wheels; None: others, or lost. Raises ValueError."""
     if message.estimator_type not in SEEN_FROM_OUTSIDE or message.quality < 0:
         return None
     if message.child_frame_id != mavlink.MAV_FRAME_BODY_FRD:

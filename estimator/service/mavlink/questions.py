@@ -1,4 +1,4 @@
-"""Questions to an autopilot, on the ground: who it is, its version, its parameters, the origin of its EKF."""
+"""Questions to an autopilot on the ground: type, version, parameters, EKF origin."""
 
 import struct
 import time
@@ -39,7 +39,7 @@ _INTEGERS: Final = {
 
 
 class Answers(NamedTuple):
-    """autopilot: of HEARTBEAT; version: "4.6.3" or ""; parameters; origin: of its EKF, degrees and m above the sea, or None."""
+    """autopilot: of HEARTBEAT; version: "4.6.3" or ""; origin: degrees, m above the sea, or None."""
 
     autopilot: int
     version: str
@@ -48,7 +48,7 @@ class Answers(NamedTuple):
 
 
 def ask(config: MavlinkConfig, folder: Path, names: dict[int, tuple[str, ...]]) -> Answers | None:
-    """None: nobody is there. names: the parameters to ask for, by autopilot. Raises ConfigError where its port cannot be had."""
+    """None: no autopilot. names: parameters by autopilot. Raises ConfigError where its port is taken."""
     with closing(opened(address_of(config))) as endpoint:
         talk = _Talk(config, folder, endpoint)
         end = time.monotonic() + _PATIENCE_S
@@ -101,7 +101,7 @@ class _Talk:
             self._say(mavlink.MAVLink_param_request_read_message(system, component, name.encode(), -1))
 
     def listen(self, seconds: float, wanted: AbstractSet[str] | None = None) -> bool:
-        """Take what comes. With wanted parameters: until they, version and origin are there, and whether they are."""
+        """Receive; returns early, True, with all wanted parameters, version and origin."""
         end, complete = time.monotonic() + seconds, False
         while not complete and (left_s := end - time.monotonic()) > 0.0:
             heard = self._endpoint.receive(left_s)

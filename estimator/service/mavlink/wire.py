@@ -1,4 +1,4 @@
-"""pymavlink's codec with a doorkeeper: which messages of whom are decoded at all, signatures, and memory that does not grow."""
+"""pymavlink's codec with filters by sender and message, signatures, and bounded memory."""
 
 import hmac
 import math
@@ -25,9 +25,7 @@ mavlink.mavlink_map.setdefault(GNSS_INTEGRITY, development.MAVLink_gnss_integrit
 
 
 class Wire(mavlink.MAVLink):  # type: ignore[misc]
-    """Frames <-> messages, for one thread; listen_to: component ids; wanted: message ids; key: of signing, unsigned is then
-    refused.
-    """
+    """Frames <-> messages, one thread; listen_to: component ids; wanted: message ids; key: signing, refuses unsigned."""
 
     buf: bytearray
     buf_index: int
@@ -46,7 +44,7 @@ class Wire(mavlink.MAVLink):  # type: ignore[misc]
             self.signing.timestamp = max(0, now_ns - _EPOCH_2015_NS) // _TICK_NS
 
     def messages(self, data: bytes, *, whole: bool) -> Iterator[Any]:
-        """The wanted messages in what has come. whole: frames do not go on in the next data."""
+        """Wanted messages in the data; whole: no frame continues in the next data."""
         try:
             found = list(self._found(data))
         except Exception:  # IndexError, MAVError ... of the parser itself: what has come is counted as damaged
@@ -71,7 +69,7 @@ class Wire(mavlink.MAVLink):  # type: ignore[misc]
                 yield message
 
     def _found(self, data: bytes) -> Iterator[Any]:
-        """Frames, and what is none: after a false start the search goes on at the next byte, for true frames may be in it."""
+        """Frames and false starts, after which the search goes on at the next byte."""
         message = self.parse_char(data)
         while message is not None:
             if self._is_false_start(message):
@@ -81,7 +79,7 @@ class Wire(mavlink.MAVLink):  # type: ignore[misc]
             message = self.parse_char(b"")
 
     def _is_false_start(self, message: Any) -> bool:
-        """A frame with a wrong checksum; one that is passed over unchecked, and that neither a frame nor the end follows."""
+        """A wrong checksum, or an unchecked frame that neither a frame nor the end follows."""
         if isinstance(message, mavlink.MAVLink_bad_data):
             return message.reason not in _NO_FRAME
         return isinstance(message, mavlink.MAVLink_unknown) and self.buf_len() > 0 and self.buf[self.buf_index] not in _STARTS
@@ -98,7 +96,7 @@ class Wire(mavlink.MAVLink):  # type: ignore[misc]
         return data
 
     def decode(self, frame: bytearray) -> Any:
-        """Of others, or of other messages, nothing is decoded: not even their checksum is worth the time."""
+        """Only wanted messages are decoded, checksum included."""
         if frame[0] == _V1:
             system, component, number = frame[3], frame[4], frame[5]
         elif len(frame) >= _HEADER_V2:
@@ -115,7 +113,7 @@ class Wire(mavlink.MAVLink):  # type: ignore[misc]
             raise mavlink.MAVError(f"damaged frame: {error}") from None
 
     def check_signature(self, frame: bytearray, system: int, component: int) -> bool:
-        """First who signed it, then whether it is new: else anybody could set the time of a stream and silence it."""
+        """Verify the signature before its time stamp: otherwise anybody could block a stream."""
         if not hmac.compare_digest(
             sha256(self.signing.secret_key + frame[:-_SIGNATURE]).digest()[:_SIGNATURE], frame[-_SIGNATURE:]
         ):
@@ -129,7 +127,6 @@ class Wire(mavlink.MAVLink):  # type: ignore[misc]
 
 
 def _is_finite(message: Any) -> bool:
-    """Whether all floats of a message are finite."""
     values = (getattr(message, name) for name in message.fieldnames)
     numbers = (x for value in values for x in (value if isinstance(value, list) else [value]))
     return all(math.isfinite(x) for x in numbers if isinstance(x, float))

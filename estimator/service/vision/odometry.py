@@ -1,4 +1,4 @@
-"""Visual odometry in a process of its own: neither it nor the search for landmarks delays the other."""
+"""Visual odometry in its own process, independent of the landmark search."""
 
 from collections.abc import Callable
 from multiprocessing.connection import Connection
@@ -67,5 +67,5 @@ class OdometryWorker(VisionWorker):
 
 
 def vision_config(config: VisualOdometryConfig, vision: VisionConfig) -> VisionConfig:
-    """How pairs are put together, as for landmarks; how long an answer may take, as for odometry."""
+    """Pairing as for landmarks, time-out as for odometry."""
     return VisionConfig(vision.most_hz, vision.pair_ms, vision.patience_ms, config.timeout_s)

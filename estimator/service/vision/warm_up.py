@@ -1,4 +1,4 @@
-"""Each way of looking once, at images drawn here: no image of the flight then waits for a kernel to be compiled or loaded."""
+"""Run each vision path once on drawn images: no image of the flight waits for a kernel."""
 
 from collections.abc import Sequence
 from itertools import product
@@ -34,7 +34,7 @@ _GROUND, _GRAIN = 110.0, 8.0
 
 
 def warm_up(priors_m: Sequence[float] = PRIORS_M) -> None:
-    """Pairs and single images, grey and coloured, raw and JPEG, with priors from narrow to hopeless; then the map drawn in."""
+    """Pairs and single images, grey and coloured, raw and JPEG, narrow to hopeless priors; the overlay."""
     rig, p_n = make_rig(), np.array(_PLACE)
     marks = [
         Landmark.of(str(k), outline, height_m=4.0, colour_bgr=bgr, sigma_m=0.1, height_sigma_m=0.1, outline_sigma_m=0.05)
@@ -81,7 +81,7 @@ def warm_up_odometry() -> None:
 
 
 def _drawn(marks: list[Landmark], camera: CameraModel, p_nc: Array, R_nc: Array) -> Pixels:
-    """Roofs on grainy ground, as a camera at p_nc (3,) with axes R_nc (3, 3) sees them."""
+    """Roofs on grainy ground, seen at p_nc (3,) with axes R_nc (3, 3)."""
     grain = np.random.default_rng(0).normal(_GROUND, _GRAIN, (camera.height, camera.width, 3))
     image = np.clip(grain, 0.0, 255.0).astype(np.uint8)
     for mark in marks:

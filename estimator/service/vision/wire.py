@@ -1,4 +1,4 @@
-"""Between the daemon and its vision processes: msgpack, and not pickle, so that an answer can be nothing but data.
+"""Between daemon and vision processes: msgpack, not pickle: answers are data only.
 
 Question, Drawing                     to the process
 Ready, Unable, Compiling, Answer      from it: bounded, and of no topic but those of vision
@@ -34,7 +34,7 @@ class Question(msgspec.Struct, frozen=True, tag=True):
 
 
 class Drawing(msgspec.Struct, frozen=True, tag=True):
-    """Asks for the image looked at last, with the map drawn in; mode: of the newest estimate."""
+    """Request for the last image with the map drawn; mode: of the newest estimate."""
 
     mode: str
 

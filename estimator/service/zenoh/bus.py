@@ -84,14 +84,13 @@ class _Sender:
         return any(p is not None and p.matching_status.matching for p in (self._rmw, self._plain))  # type: ignore[attr-defined]
 
     def _answer(self, query: zenoh.Query) -> None:
-        """The last message of the topic, for late queries."""
         with query:
             if self.last is not None:
                 query.reply(query.key_expr, self.last)
 
 
 class ZenohScreen:
-    """A Screen of ports.py: one topic of the bus, that is announced at once, and sent by a thread of its own."""
+    """A Screen of ports.py: one topic, announced at once, sent by its own thread."""
 
     def __init__(self, session: zenoh.Session, config: ZenohConfig, clock: Clock, topic: str, schema: str) -> None:
         self._sender, self._clock = _Sender(session, config, topic, schema), clock
@@ -109,7 +108,7 @@ class ZenohScreen:
 
 
 class ZenohBus:
-    """An Outbox of ports.py that feeds an Inbox. Raises BusError or ConfigError when it cannot be opened."""
+    """An Outbox of ports.py that feeds an Inbox. Raises BusError, ConfigError."""
 
     def __init__(self, config: ZenohConfig, folder: Path, clock: Clock, inputs: Mapping[str, str], images: Sequence[str]) -> None:
         """inputs: topic -> type of what is subscribed to; images: topics of images, raw or compressed."""
@@ -189,7 +188,6 @@ class ZenohBus:
                 self.unsent += 1
 
     def _with_diagnostics(self, encoded: Sequence[Encoded]) -> Iterator[Encoded]:
-        """Each message, and by option what is of ROS's common topic on that one as well."""
         for message in encoded:
             yield message
             if self._config.diagnostics and message.schema == schemas.DIAGNOSTICS:
@@ -223,18 +221,16 @@ class ZenohBus:
         return receive
 
     def _subscribed(self, topic: str, schema: str) -> list[str]:
-        """Keys of an input. A plain key does not say its type, so images on it are taken for compressed ones."""
+        """Keys of an input; a plain key has no type, so images on it are taken as compressed."""
         plain = self._config.ros2dds and schema != schemas.IMAGE
         return [keys.rmw_key(self._config.domain, topic, schema)] * self._config.rmw + [keys.plain_key(topic)] * plain
 
     def _keys(self, inputs: Mapping[str, str], images: Sequence[str]) -> list[str]:
-        """All keys of the inputs, for the access control."""
         topics = [*inputs, *images]
         px4 = f"{self._config.domain}/fmu/out/**"
         return [px4, *(f"{self._config.domain}/{t.strip('/')}/**" for t in topics), *(keys.plain_key(t) for t in topics)]
 
     def _output_keys(self) -> list[str]:
-        """Likewise of the outputs and queryables."""
         domain = self._config.domain
         common = ["diagnostics", f"{domain}/diagnostics/**"] if self._config.diagnostics else []
         return [

@@ -1,7 +1,4 @@
-"""The Zenoh session, closed by default: loopback only, no scouting.
-
-At an endpoint beyond loopback peers must authenticate, by certificate or password.
-"""
+"""The Zenoh session, closed by default: loopback only, no scouting; beyond, peers must authenticate."""
 
 import ipaddress
 import json
@@ -140,7 +137,7 @@ class Endpoint(NamedTuple):
 
 
 def check(config: ZenohConfig) -> None:
-    """Raises ConfigError for an endpoint beyond loopback that is open to everybody, or names that nobody checks."""
+    """Raises ConfigError for an open endpoint beyond loopback, or unchecked names."""
     security = config.security
     proofs = {"listen": bool(security.users_file), "connect": bool(security.user and security.password_file)}
     for name, endpoints in (("listen", config.listen), ("connect", config.connect)):
@@ -167,7 +164,7 @@ def _check_endpoint(name: str, text: str) -> None:
 
 
 def _check_protected(name: str, text: str, *, by_password: bool, by_certificate: bool) -> None:
-    """Of an endpoint beyond loopback. A multicast group has no handshake, so that nobody proves anything in it."""
+    """Check an endpoint beyond loopback; a multicast group has no handshake, so no authentication."""
     endpoint = Endpoint.of(text)
     if by_password and not _is_multicast(endpoint.host):
         return
@@ -196,7 +193,6 @@ def is_local(text: str) -> bool:
 
 
 def _identity(security: SecurityConfig, folder: Path) -> dict[str, Any]:
-    """Who we are to others."""
     settings: dict[str, Any] = {}
     if security.user and security.password_file:
         settings["transport/auth/usrpwd/user"] = security.user
@@ -212,7 +208,6 @@ def _identity(security: SecurityConfig, folder: Path) -> dict[str, Any]:
 
 
 def _doorkeeper(security: SecurityConfig, folder: Path, inputs: Sequence[str], outputs: Sequence[str]) -> dict[str, Any]:
-    """Who may come, and what they may do."""
     settings: dict[str, Any] = {}
     if security.users_file:
         settings["transport/auth/usrpwd/dictionary_file"] = _secret(folder, "users_file", security.users_file)
@@ -226,9 +221,9 @@ def _doorkeeper(security: SecurityConfig, folder: Path, inputs: Sequence[str], o
 
 
 def access_control(security: SecurityConfig, inputs: Sequence[str], outputs: Sequence[str]) -> dict[str, Any]:
-    """Zenoh's access control: everything is denied but what feeders and listeners need.
+    """Access control: all denied but what feeders and listeners need.
 
-    A feeder must hear of our subscription (egress) before it sends anything (ingress); a listener's subscription comes in.
+    A feeder needs our subscription (egress) before it sends (ingress); a listener's subscription comes in.
     """
     rules = [
         _rule("feed", "ingress", ["put", "liveliness_token"], [*inputs, "@ros2_lv/**"]),

@@ -1,7 +1,6 @@
-"""PX4's zenoh module as an Outbox: vehicle_visual_odometry continuously, aux_global_position when a fix entered.
+"""PX4's zenoh module as an Outbox: vehicle_visual_odometry continuously, aux_global_position for new fixes.
 
-Stamps are PX4's own, from its fmu/out/... messages; nothing is sent before. Quality is -1 until EKF2's origin is known
-(vehicle_local_position).
+Stamps are PX4's, from fmu/out/...; nothing is sent before. Quality -1 until EKF2's origin is known (vehicle_local_position).
 """
 
 import struct
@@ -112,7 +111,6 @@ class Px4Link:
         return self._config.origin == "map"
 
     def _vehicle_odometry(self, estimate: Estimate, now_ns: int, sent_us: int, sample_us: int) -> bytes | None:
-        """In PX4's local frame; not to be used while that is not known."""
         if now_ns - self._reference_ns > _REFERENCE_NS:
             self._local.forget()
         self._map_origin = estimate.origin
@@ -137,7 +135,7 @@ class Px4Link:
         self.sent_fixes += self._put(self._fix, data)
 
     def _put(self, publisher: zenoh.Publisher, data: bytes | None) -> bool:
-        """Whether it went out; a message that no bytes can hold is counted and forgotten. Raises ZError."""
+        """Whether it went out; messages that do not fit are counted and dropped. Raises ZError."""
         if data is None:
             self.out_of_range += 1
             return False
@@ -145,7 +143,7 @@ class Px4Link:
         return True
 
     def _hear(self, sample: zenoh.Sample) -> None:
-        """Something of PX4's: what time is it there? The attachment is stamped later, so it comes quicker."""
+        """PX4's time from its messages; the attachment is stamped later, so it is quicker."""
         arrived_ns = self._clock.now_ns()
         attachment, payload = sample.attachment, sample.payload.to_bytes()
         if attachment is not None and len(attachment) == _SENT.size:
@@ -165,7 +163,6 @@ class Px4Link:
                 self._hear_reference(payload, arrived_ns)
 
     def _hear_reference(self, payload: bytes, arrived_ns: int) -> None:
-        """Where its local frame begins; it may lose that, or move it."""
         place = px4.local_reference(payload)
         self._reference_ns, self._has_none = arrived_ns, place is None
         if place is None:

@@ -1,8 +1,8 @@
-"""Airspeed of a pitot tube along the nose, and that a fixed wing hardly slips.
+"""Pitot airspeed along the nose, with small sideslip of a fixed wing.
 
     z_x = (1 + k) e_x^T R_nb^T (v - w) + n,   0 = e_y^T R_nb^T (v - w) + n_beta
 
-k, the scale of tube and sensor, is estimated. The second row is there where sideslip_deg says how coordinated the flight is.
+The scale k is estimated; the second row exists where sideslip_deg is given.
 """
 
 import math

@@ -1,15 +1,14 @@
-"""Motion through the air: what a pitot tube and a multirotor's drag measure, and the density of the standard atmosphere.
+"""Motion through the air, from a pitot tube or a multirotor's drag, and air density.
 
     z_b = R_nb^T (v - w) + n,   w = (w_n, w_e, 0)
 
-Of z_b some components are given. A pitot tube gives the first; of a multirotor the specific force f across its thrust is drag:
+A pitot tube gives the first component; the specific force f across a multirotor's thrust is drag:
 
     f = -(k + (rho / 2 B) |u|) u,   u = (z_x, z_y)                           (PX4 EKF2: MCOEF k [1/s], BCOEF B [kg/m^2])
     u = -m(|f|) f / |f|,            m(f) = (sqrt(k^2 + 4 c f) - k) / 2 c,   c = rho / 2 B
 
-The wind is estimated beside the state: `in_wind` puts the present estimate in, about which the innovation is linearised. So is
-the scale s of the sensor, z_b = (1 + s) u + n, with d z / d s = u of the estimate. The reading in its place would have n in it,
-and s would follow the noise: by E[n^2] / E[z^2], half of it for a multirotor that vibrates (errors in variables; Fuller 1987).
+The wind is estimated; `in_wind` inserts the present estimate. So is the scale s, z_b = (1 + s) u + n, with d z / d s = u of the
+estimate, not the noisy reading (errors in variables; Fuller 1987).
 """
 
 import math
@@ -42,7 +41,7 @@ def is_scale(block: str) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AirVelocity:
-    """z_b: (m,) m/s, of the components `rows` of R^T (v - w); noise (m, m); wind_n: m/s, north and east."""
+    """z_b: (m,) m/s, components `rows` of R^T (v - w); noise (m, m); wind_n: m/s, north, east."""
 
     z_b: Array
     noise: Array
@@ -54,7 +53,7 @@ class AirVelocity:
         return replace(self, wind_n=(float(wind_n[0]), float(wind_n[1])))
 
     def by_scale(self, x: Array) -> Array:
-        """d z / d s, (m, 1): along the nose, the velocity through the air at the state x; the tube measures nothing else."""
+        """d z / d s, (m, 1): the velocity through the air at x, along the nose."""
         h = self.through_air(x)[self.rows, np.newaxis]
         h[self.rows > 0] = 0.0
         return h
@@ -65,7 +64,7 @@ class AirVelocity:
         return u
 
     def evaluate(self, x: Array, _: Array, /) -> tuple[Array, Array]:
-        """nu = z - R^T v, to which the wind is added as an error of z; H_v = R^T, H_theta = [R^T (v - w)]x. See Measurement."""
+        """nu = z - R^T v, with the wind as an error of z; H_v = R^T, H_theta = [R^T (v - w)]x."""
         r_bn, h = so3.matrix(x[X.Q]).T, np.zeros((3, E.SIZE))
         through_air = r_bn @ (x[X.V] - np.array([*self.wind_n, 0.0]))
         h[:, E.V], h[:, E.THETA] = r_bn, so3.skew(through_air)
@@ -74,10 +73,7 @@ class AirVelocity:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DragForce:
-    """f_b: (2,) mean specific force along x and y, m/s^2, of sigma; wind_n as in AirVelocity.
-
-    linear: k, 1/s; square: c, 1/m.
-    """
+    """f_b: (2,) mean specific force along x, y, m/s^2, of sigma; wind_n as above; linear: k, 1/s; square: c, 1/m."""
 
     f_b: Array
     sigma: float
@@ -105,7 +101,7 @@ class DragForce:
         return self._through_air(x).through_air(x)[_ACROSS, np.newaxis]
 
     def velocity(self, f_b: Array) -> tuple[Array, Array]:
-        """u (2,) through the air, m/s, of a force f (2,), m/s^2, and d u / d f (2, 2), s."""
+        """u (2,) [m/s] of a force f (2,) [m/s^2], and d u / d f (2, 2) [s]."""
         force, k, c = float(np.linalg.norm(f_b)), self.linear, self.square
         root = math.sqrt(k * k + 4.0 * c * force)
         speed = 2.0 * force / (root + k)  # = (root - k) / 2c, for any c

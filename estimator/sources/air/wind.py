@@ -1,9 +1,8 @@
-"""The wind: two states behind the 15, that appear with the first reading of an air sensor and are shared by all of them.
+"""The wind: two states behind the 15, shared by all air sensors.
 
     w' = n_w,   var(w_0) = sigma^2,   g' = -g / tau + n_g
 
-w, north and east, is estimated as a random walk. A gust g comes on top; it is considered, so that a thousand readings within it
-share its error. Both act through the same Jacobian, d z / d w.
+w, north and east, is an estimated random walk; a gust g is considered, so that readings within it share its error.
 """
 
 import math
@@ -33,7 +32,7 @@ class WindConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def wind_errors(config: WindConfig, rows: int) -> tuple[SlowError, ...]:
-    """Wind and gusts as errors of a reading of the first `rows` components of R^T (v - w)."""
+    """Wind and gusts as errors of the first `rows` components of R^T (v - w)."""
 
     def by_wind(x: Array) -> Array:
         """d z / d w, (rows, 2)."""
@@ -46,5 +45,5 @@ def wind_errors(config: WindConfig, rows: int) -> tuple[SlowError, ...]:
 
 
 def estimated(block: str, sigma: Array, jacobian: Array) -> SlowError:
-    """A constant error s (k,) of a sensor, of sigma (k,), which is estimated from zero on; jacobian: d z / d s (m, k)."""
+    """A constant estimated sensor error s (k,), of sigma (k,), from zero; jacobian: d z / d s (m, k)."""
     return SlowError(block, np.diag(np.square(sigma)), math.inf, jacobian, np.full(len(sigma), STAYS), starts_at_zero=True)

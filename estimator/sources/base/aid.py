@@ -1,4 +1,4 @@
-"""The measurement that a source delivers: its place in the order, what it says, the errors that it carries, or why it is none."""
+"""The measurement of a source: order, content, errors, or its refusal."""
 
 import math
 import struct
@@ -18,15 +18,13 @@ _FLOAT = struct.Struct("=d")
 
 
 class Aid(msgspec.Struct, frozen=True, eq=False):
-    """A message that passed its checks, as a measurement.
+    """A checked message as a measurement.
 
-    order: the place among all measurements; measurement(origin) builds z, None without an origin; absolute: fixes the position
-    on the map; log_false: ln of the probability density of a false reading; slow_errors: those that it carries; detail: what
-    there is to say of it once it is judged; alignment_only: a prior, not fused in flight; assumed: what was taken in place of an
-    accuracy that the message does not give; weighs: it is evidence for one hypothesis rather than another, which a reading is not
-    whose considered errors are larger than the rest: the next one says the same; begin: of a measurement over some time, what
-    takes a place of its own in the order where that time begins; delay_sigma_s: of the time of validity, s; check(origin): why it
-    is none at that place; uses_rate: the angular rate takes part.
+    order: place among all; measurement(origin): z, None without an origin; absolute: fixes the map position; log_false: ln
+    density of a false reading; slow_errors: carried; detail: remark for the report; alignment_only: a prior, not fused in flight;
+    assumed: substituted accuracy; weighs: evidence between hypotheses, unless considered errors dominate, which the next reading
+    repeats; begin: entry in the order where its time begins; delay_sigma_s: of the validity, s; check(origin): refusal at that
+    place; uses_rate: depends on the angular rate.
     """
 
     t_ns: int
@@ -58,7 +56,7 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
 
     @property
     def resembles(self) -> bool:
-        """A false reading is a look-alike, found where it was sought, so that it proves little when it fits."""
+        """A false reading was searched for at the expected position: a good fit proves little."""
         return self.kind == "pose"
 
     @property
@@ -68,7 +66,7 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
 
 
 class SensorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The section of an optional sensor: it is off until its key in [inputs] names a topic."""
+    """Section of an optional sensor, off until its key in [inputs] names a topic."""
 
     def aid(self, reading: Reading) -> "Aid | Refusal":
         """The reading, whose values are finite, as a measurement, or why it is none."""
@@ -76,12 +74,11 @@ class SensorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SlowError(msgspec.Struct, frozen=True, eq=False):
-    """An error s (k,) that repeats from fix to fix: first-order Gauss-Markov of covariance (k, k), time constant tau_s [s].
+    """An error s (k,) that repeats from fix to fix: first-order Gauss-Markov, covariance (k, k), tau_s [s].
 
-    jacobian: d z / d s, (m, k), of all components of the measurement, or that of the state; None: s shifts the leading components
-    one by one.
-    walk: (k,) variance per second: s is estimated as a random walk, s_0 from the first reading on; None: it is considered.
-    starts_at_zero: where it is estimated, s_0 is 0 with this covariance, and not what the first reading makes of it.
+    jacobian: d z / d s (m, k) of the whole measurement, or the state's; None: s shifts the leading components. walk: (k,)
+    variance per second: estimated random walk, s_0 from the first reading; None: considered. starts_at_zero: estimated with s_0 =
+    0 of this covariance.
     """
 
     block: str
@@ -118,7 +115,7 @@ def _log_uniform(share: float, half_widths: tuple[float, ...]) -> float:
 
 
 def order(t_ns: int, kind: str, topic: str, *content: float | bytes) -> tuple[int, str, str, bytes]:
-    """Where a measurement stands among all: by time, then kind, topic and content, so that arrival plays no part."""
+    """Place among all measurements: time, kind, topic, content; arrival plays no part."""
     raw = b"".join([c if isinstance(c, bytes) else _FLOAT.pack(c) for c in content])
     return t_ns, kind, topic, blake2b(raw, digest_size=8).digest()
 
@@ -128,7 +125,7 @@ def _no_reading(_: object) -> "Measurement | None":
 
 
 def asked(t_ns: int, topic: str, half_widths: Sequence[float], slow: "tuple[SlowError, ...]") -> Aid:
-    """What the IMU itself shows at t_ns, with no reading of a sensor: the samples before it give the measurement."""
+    """A measurement from the IMU samples before t_ns, without a reading."""
     return Aid(
         t_ns=t_ns,
         arrived_ns=t_ns,

@@ -1,4 +1,4 @@
-"""What may be wrong, as data: the table that the filter, the conflict of sources and the protection levels read.
+"""Faults as data, for the filter, the conflict of sources and the protection levels.
 
     source         fault                                 onset                 lasts       size
     any            one false reading                     false_share           -           uniform within what is plausible

@@ -14,7 +14,7 @@ def gate(probability: float, dof: int) -> float:
 
 
 def cusum(sums: tuple[float, ...], nu: Array, sigma: Array, slack: float) -> tuple[float, ...]:
-    """One step of the two-sided cumulative sum of normalised innovations (Page 1954).
+    """One step of the two-sided CUSUM of normalised innovations (Page 1954).
 
         g+ <- max(0, g+ + nu/sigma - k),   g- <- max(0, g- - nu/sigma - k)
 

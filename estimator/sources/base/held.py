@@ -1,7 +1,6 @@
-"""Held values: a reading that equals the last one to the bit while the vehicle moves is no measurement.
+"""Held values: a reading equal to the last, to the bit, in motion is no measurement.
 
-Drivers repeat their last value when a sensor stalls, bridges copy a slow topic into a fast one, and an axis of an IMU that has
-failed reads the same for ever. Noise makes two readings of a sensor that works differ.
+Stalled drivers, bridges and failed axes repeat values; noise makes true readings differ.
 """
 
 import math
@@ -47,7 +46,7 @@ def moves(x: Array, cov: Array) -> bool:
 
 
 class HeldImu:
-    """Which values of an IMU are held: a sensor for 0.1 s, or one axis for 0.5 s, that have read otherwise before."""
+    """Held values of an IMU: a sensor for 0.1 s, or an axis for 0.5 s, that varied before."""
 
     __slots__ = ("_alive", "_count", "_last", "_newest_ns", "_since_ns", "says")
 
@@ -59,7 +58,7 @@ class HeldImu:
         self._newest_ns = -(2**62)
 
     def note(self, sample: ImuSample) -> str:
-        """Take the next sample; which values are held, or "" where it can be used. A late one is used."""
+        """Take the next sample; which values are held, or "". A late one is used."""
         u = sample.gyro_b + sample.accel_b
         if sample.t_ns <= self._newest_ns:
             return ""
@@ -79,7 +78,6 @@ class HeldImu:
         return self.says
 
     def _judge(self, sample: ImuSample) -> str:
-        """What is held, where an axis reads as before."""
         for_ns = [sample.t_ns - since_ns for since_ns in self._since_ns]
         for sensor in (slice(0, 3), slice(3, 6)):
             is_held = any(self._alive[sensor]) and min(self._count[sensor]) >= _FEWEST and min(for_ns[sensor]) > _ALL_NS
@@ -92,6 +90,6 @@ class HeldImu:
 
 
 def _rests(sample: ImuSample) -> bool:
-    """Whether a sample may be of a vehicle at rest: a value that is held then does no harm, and noise may be below a step."""
+    """Possible rest: held values do no harm then."""
     rate, force = np.linalg.norm(sample.gyro_b), np.linalg.norm(sample.accel_b)
     return bool(rate < _RESTS_RAD_S and abs(force - GRAVITY) < _RESTS_M_S2)

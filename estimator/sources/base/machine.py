@@ -2,7 +2,7 @@
 
     stopped --(first measurement)--> starting --(probation passed)--> active --(silence, or a fault)--> stopped
 
-The machine is a value in the tracker's checkpoint and reads times of validity only, so a replayed past is judged the same.
+A value in the tracker's checkpoint; it reads times of validity only, so a rewind decides the same.
 """
 
 import math
@@ -43,9 +43,9 @@ class SourceState(msgspec.Struct, frozen=True):
     spread_m: tuple[float, float] = (math.inf, 0.0)  # of odometry: smallest and largest sigma of late, fading since last_ns
 
     def arrive(self, rules: Rules, t_ns: int, *, alone: bool) -> "SourceState":
-        """A measurement of t_ns comes in; alone: no other absolute source is active, so there is no independent source.
+        """A measurement of t_ns arrives; alone: no other absolute source is active.
 
-        Alone, a sensor that has been refuted stays stopped: the estimate's covariance grows, until anything passes the gate.
+        Alone, a refuted sensor stays stopped: the growing covariance would let anything pass the gate.
         """
         phase, passed, sums = self.phase, self.passed, self.sums
         if alone and self.is_refuted:
@@ -68,11 +68,11 @@ class SourceState(msgspec.Struct, frozen=True):
         )
 
     def phase_at(self, t_ns: int) -> Phase:
-        """How far the source is trusted at t_ns, with nothing newer from it than this state knows of."""
+        """Phase at t_ns without newer readings."""
         return Phase.STOPPED if t_ns > self.silent_ns else self.phase
 
     def held(self, rules: Rules, t_ns: int, *, alone: bool = True) -> "SourceState":
-        """A reading failed: one that passes soon after does so by chance, of a sensor that is stuck or late."""
+        """A reading failed: one that passes soon after does so by chance."""
         hold_ns, since_ns = round(rules.hold_s * 1e9), max(self.failed_ns, 0) or t_ns
         is_refuted = self.is_refuted or (not alone and 0 < hold_ns < t_ns - since_ns)
         return replace(self, phase=Phase.STOPPED, held_until_ns=t_ns + hold_ns, failed_ns=since_ns, is_refuted=is_refuted)
@@ -80,7 +80,7 @@ class SourceState(msgspec.Struct, frozen=True):
     def judge(self, rules: Rules, t_ns: int, *, alone: bool, passed: bool, fused: bool, nu: Array, sigma: Array) -> "SourceState":
         """The measurement passed its gate or not, was fused or not.
 
-        A drift is the source's only where an independent source agrees with the filter: alone, the filter may be what drifts.
+        A drift is the source's only beside an independent source: alone, the filter may drift.
         """
         state = replace(self, fused_ns=t_ns, failed_ns=_NEVER, is_refuted=False) if fused else self
         if state.phase is Phase.STARTING:

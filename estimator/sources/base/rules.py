@@ -7,7 +7,7 @@
     spacing_s    errors of readings closer than this are the same: one of them is fused
     timeout_s    without a reading for so long, the source has stopped
 
-The numbers are engineering judgement; none is counted in flight.
+The numbers are engineering judgement.
 """
 
 from typing import Final

@@ -1,4 +1,4 @@
-"""The IMU: whether its samples can be used (`plausibility`), and which of several IMUs leads (`choice`).
+"""The IMU: usable samples (`plausibility`), the leading one of several (`choice`).
 
-Begin with `choice`. May import estimator.sources.base and models.
+May import estimator.sources.base and models.
 """

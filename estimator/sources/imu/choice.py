@@ -53,7 +53,7 @@ _AGAIN_NS = 10_000_000_000  # an IMU that has failed is not chosen again for so 
 
 
 class TakeOver(NamedTuple):
-    """Another IMU leads: from since_ns on its samples count. shift, sigma: of the biases, (6,); shift None: nothing is known."""
+    """Another IMU leads from since_ns; shift, sigma: of the biases, (6,); shift None: unknown."""
 
     topic: str
     since_ns: int
@@ -64,7 +64,7 @@ class TakeOver(NamedTuple):
 
 
 class ImuAid(Aid, frozen=True, eq=False, kw_only=True):
-    """The change of the IMU, in its place among the measurements; factor: on the noise of the first."""
+    """The change of IMU among the measurements; factor: on the first one's noise."""
 
     shift: Array
     sigma: Array
@@ -116,7 +116,7 @@ class Choice:
         return "standby" if self._is_healthy(topic, t_ns) else "failed"
 
     def note(self, sample: ImuSample, *, is_refuted: bool = False) -> TakeOver | None:
-        """Take a usable sample of any IMU; the change, where its leader has failed.
+        """Take a usable sample of any IMU; the change where its leader failed.
 
         is_refuted: positions contradict the estimate.
         """
@@ -172,7 +172,7 @@ class Choice:
         return t_ns - self._streams[topic].newest_ns <= _SILENT_NS
 
     def _contradict(self, one: str, other: str, share: float = 1.0) -> bool:
-        """Whether the last blocks of two IMUs differ by more than they did before, and by that share of the threshold."""
+        """The last blocks of two IMUs differ by that share of the threshold more than before."""
         first, second = self._streams[one], self._streams[other]
         blocks, differences = first.blocks(second)
         if len(blocks) < _AGAINST:
@@ -204,7 +204,7 @@ class Choice:
 
 
 def imu_aid(change: TakeOver, t_ns: int, arrived_ns: int, unknown: tuple[float, float], factor: float = 1.0) -> ImuAid:
-    """The change as what the tracker goes through at t_ns. unknown: sigma of gyro and accelerometer bias at the start."""
+    """The change as a measurement at t_ns; unknown: initial sigma of gyro and accelerometer bias."""
     shift, sigma = change.shift, change.sigma
     if shift is None:
         shift, sigma = np.zeros(_AXES), np.sqrt(2.0) * np.repeat(unknown, 3)

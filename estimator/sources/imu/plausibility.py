@@ -1,7 +1,6 @@
-"""The IMU: is a sample usable, is the stream plausible?
+"""Is an IMU sample usable, the stream plausible?
 
-A vehicle that flies on gravity feels about 9.8 m/s^2 over any second. A stream whose specific force averages one (unit g) or
-nothing (gravity taken out), or whose rates cannot be rad/s, is refused with a reason rather than integrated.
+A mean specific force near one (unit g) or zero (gravity removed), or rates beyond rad/s, are refused.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""What one of several IMUs has sent lately: its samples, since when each axis reads the same, and means over short blocks."""
+"""Recent samples of one of several IMUs: constancy of each axis, means over short blocks."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ _KEPT_NS = 3_000_000_000  # of samples
 
 
 class Stream:
-    """The samples of one IMU, as they arrive; one that is older than the last is passed over."""
+    """Samples of one IMU by arrival; older ones are passed over."""
 
     def __init__(self) -> None:
         self.newest_ns = -(2**62)
@@ -61,7 +61,7 @@ class Stream:
         return min(self._same_since_ns[axis] for axis in axes)
 
     def blocks(self, other: "Stream") -> tuple[list[int], Array]:
-        """Numbers of the blocks that both have, in order, and the means of the other less those of this one, (k, 6)."""
+        """Common block numbers in order, and the other's means less these, (k, 6)."""
         both = [b for b in self._means if b in other._means]
         if not both:
             return both, np.empty((0, 6))
@@ -69,7 +69,7 @@ class Stream:
         return both, theirs - mine
 
     def mean(self, block: int) -> tuple[Array, Array]:
-        """The mean over a block, and its variance where what the samples scatter is noise, (6,) each."""
+        """Mean over a block, and its variance from white scatter, (6,) each."""
         return self._means[block], self._variances[block]
 
     def _close(self) -> None:

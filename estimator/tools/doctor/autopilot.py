@@ -1,4 +1,4 @@
-"""Are the parameters of the autopilot those for this use? It is asked over its link, which `landfix run` must not have open."""
+"""Check the autopilot's parameters over its link, which `landfix run` must not have open."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -89,7 +89,6 @@ def _ardupilot(answers: Answers, config: Config) -> Iterator[Check]:
 
 
 def _receiver(p: _Parameters, config: Config) -> Iterator[Check]:
-    """Fixes are those of a second receiver."""
     has = any(p.get(name) == _MAVLINK for name in _RECEIVERS)
     advice = "set GPS2_TYPE 14 (before 4.6: GPS_TYPE2), and reboot: GPS_INPUT is taken by such a receiver only"
     yield judge("receiver for GPS_INPUT", "yes" if has else "none of type 14", fail=not has, advice=advice)
@@ -121,7 +120,6 @@ def _visual_odometry(p: _Parameters, config: Config) -> Iterator[Check]:
 
 
 def _source_sets(p: _Parameters, config: Config) -> Iterator[Check]:
-    """A set for GNSS and one for landfix, not mixed, and a switch between them."""
     if config.mavlink.odometry:
         ours = [k for k in _SETS if p.get(f"EK3_SRC{k}_POSXY") == _EXTERNAL]
         way, advice = (
@@ -143,7 +141,7 @@ def _source_sets(p: _Parameters, config: Config) -> Iterator[Check]:
 
 
 def _imu(p: _Parameters) -> Iterator[Check]:
-    """What is sent has passed a low pass and is stamped when it is sent: fixes seem early by the delay of the gyroscope."""
+    """The sent IMU is low-passed and stamped late: fixes seem early by the gyroscope's delay."""
     for name in ("INS_GYRO_FILTER", "INS_ACCEL_FILTER"):
         hz = p.get(name)
         delay_ms = _LOWPASS_MS / hz if hz > 0 else 0.0

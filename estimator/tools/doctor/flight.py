@@ -1,4 +1,4 @@
-"""Can `landfix run` start with this configuration, here, as this user? Cameras, ports, devices, secrets, folders, the package."""
+"""Can `landfix run` start with this configuration, as this user? Cameras, ports, devices, secrets, folders."""
 
 import errno
 import os
@@ -32,7 +32,7 @@ _ADVICE: Final = {
 
 
 def flight(config: Config, folder: Path) -> list[Check]:
-    """All of it; folder: from which the configuration's files count. Nothing is left behind, nothing is sent."""
+    """All checks; folder: base of the configuration's files. Leaves nothing, sends nothing."""
     return [
         *_cameras(config, folder),
         *_zenoh(config, folder),
@@ -43,7 +43,6 @@ def flight(config: Config, folder: Path) -> list[Check]:
 
 
 def _cameras(config: Config, folder: Path) -> Iterator[Check]:
-    """What vision needs, all of it or nothing."""
     given = {
         "[rig] file": config.rig.file,
         "[map] landmarks or picture": config.map.landmarks or config.map.picture,
@@ -70,7 +69,6 @@ def _cameras(config: Config, folder: Path) -> Iterator[Check]:
 
 
 def _zenoh(whole: Config, folder: Path) -> Iterator[Check]:
-    """Whether its endpoints can be listened on, and somebody answers where it is to connect."""
     config, inputs = whole.zenoh, whole.inputs
     if not config.enabled:
         yield judge("zenoh", "off")
@@ -96,7 +94,7 @@ def _zenoh(whole: Config, folder: Path) -> Iterator[Check]:
 
 
 def _refused(endpoint: str) -> OSError | None:
-    """Why a Zenoh endpoint cannot be listened on; None where it can, or is of a kind that is not tried."""
+    """Why a Zenoh endpoint cannot be listened on; None where it can, or is not tried."""
     protocol, host, port, _ = Endpoint.of(endpoint)
     kinds = {"tcp": socket.SOCK_STREAM, "tls": socket.SOCK_STREAM, "udp": socket.SOCK_DGRAM, "quic": socket.SOCK_DGRAM}
     if protocol not in kinds or not port.isdecimal():
@@ -105,7 +103,6 @@ def _refused(endpoint: str) -> OSError | None:
 
 
 def _bound(host: str, port: int, kind: socket.SocketKind) -> OSError | None:
-    """Try to listen there: why it is refused, None where it is not."""
     try:
         family, _, _, _, place = socket.getaddrinfo(host, port, type=kind)[0]
         with socket.socket(family, kind) as one:
@@ -118,7 +115,6 @@ def _bound(host: str, port: int, kind: socket.SocketKind) -> OSError | None:
 
 
 def _port(name: str, endpoint: str, flaw: OSError | None, good: str) -> Check:
-    """A finding about an address to listen on."""
     if flaw is None:
         return judge(name, f"{endpoint}: {good}")
     found = f"{endpoint}: {(flaw.strerror or 'cannot be listened on').lower()}"
@@ -126,7 +122,6 @@ def _port(name: str, endpoint: str, flaw: OSError | None, good: str) -> Check:
 
 
 def _answers(endpoint: str) -> bool:
-    """Whether somebody accepts a connection; True for kinds that are not tried."""
     protocol, host, port, _ = Endpoint.of(endpoint)
     if protocol not in {"tcp", "tls"} or not port.isdecimal():
         return True
@@ -136,7 +131,6 @@ def _answers(endpoint: str) -> bool:
 
 
 def _mavlink(whole: Config, folder: Path) -> Iterator[Check]:
-    """Whether the link can be opened, and whose eyes can read its secret."""
     config = whole.mavlink
     if not config.endpoint:
         yield judge("mavlink", "off")
@@ -158,7 +152,6 @@ def _mavlink(whole: Config, folder: Path) -> Iterator[Check]:
 
 
 def _device(path: Path) -> Check:
-    """A serial device: there, and ours to use."""
     name = "mavlink.endpoint"
     if not path.exists():
         return judge(name, f"{path}: is not there", warn=True, advice="plug the autopilot in; landfix keeps searching for it")
@@ -172,7 +165,6 @@ def _device(path: Path) -> Check:
 
 
 def _log(config: Config) -> Iterator[Check]:
-    """The folder of the logs: ours alone, writable, with room."""
     if not (config.log.enabled or config.service.state_file):
         yield judge("log.folder", "off", warn=True, advice="a flight without a log teaches nothing; set [log] enabled = true")
         return
@@ -205,7 +197,6 @@ def _log(config: Config) -> Iterator[Check]:
 
 
 def _try_to_claim(folder: Path) -> None:
-    """Raises FolderError where another records there."""
     known = set(folder.iterdir())
     with FolderLock(folder) as lock:
         if lock.path not in known:
@@ -213,7 +204,7 @@ def _try_to_claim(folder: Path) -> None:
 
 
 def package(home: Path, owners: Sequence[int] | None = None) -> Check:
-    """The code that flies must not be anybody's to change. owners: user ids it may belong to, None: root and this user."""
+    """The installed code must not be writable by others. owners: permitted user ids, None: root and this user."""
     trusted = set(owners if owners is not None else (0, os.getuid()))
     for path in (home, *sorted(home.rglob("*.py"))):
         seen = path.stat()

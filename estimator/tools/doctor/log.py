@@ -1,4 +1,4 @@
-"""Is a log fit for a replay with a configuration? Topics, rates, stamps, delays, units and axes of the IMU, absolute sources."""
+"""Is a log fit for a replay? Topics, rates, stamps, delays, IMU units and axes, absolute sources."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -105,7 +105,7 @@ def log(path: Path, config: Config, progress: Callable[[float], None] | None = N
 
 
 class _Alignment:
-    """The estimator itself, on the log until its first estimate: whether one comes is no matter of rules of thumb."""
+    """The estimator itself, on the log until its first estimate."""
 
     def __init__(self, config: Config) -> None:
         self._fusion, self._builder, self._aligned = Fusion(config.fusion()), SummaryBuilder(), False
@@ -127,12 +127,10 @@ class _Alignment:
 
 
 def _of_receiver(topic: str, used: set[str]) -> bool:
-    """The velocity of a GNSS receiver that is used: /gnss/velocity of /gnss."""
     return topic.endswith("/velocity") and topic.rpartition("/")[0] in used
 
 
 def _inputs(topics: dict[str, _Topic], config: Config) -> list[Check]:
-    """Is there an IMU, and something absolute to correct it?"""
     checks = []
     used = {t for name in _SCHEMAS for t in getattr(config.inputs, name)}
     for name, schema in _SCHEMAS.items():
@@ -154,14 +152,12 @@ def _inputs(topics: dict[str, _Topic], config: Config) -> list[Check]:
 
 
 def _at_fault(watch: Watch) -> list[Check]:
-    """The streams at fault, each with its cause, the most likely first."""
     return [
         judge(f"{f.who} at fault", f"since {f.since_s:.1f} s: {f.what}", fail=True, advice=f.advice) for f in watch.findings()
     ]
 
 
 def _stream(name: str, topic: _Topic) -> list[Check]:
-    """Rate, order of stamps, delay from validity to arrival, messages that could not be read."""
     checks = []
     if topic.bad:
         found = f"{len(topic.bad)} of {topic.count} unusable, the first: {topic.bad[0]}"
@@ -192,7 +188,7 @@ def _stream(name: str, topic: _Topic) -> list[Check]:
 
 
 def _imu(name: str, samples: Array, t_s: Array, axes: str) -> list[Check]:
-    """Rate, gaps, units by the length of gravity and the fastest turn, axes by the direction of gravity."""
+    """Rate, gaps, units by gravity and the fastest turn, axes by gravity's direction."""
     finite = np.isfinite(samples).all(axis=1)
     bad = int(np.count_nonzero(~finite))
     samples, t_s = samples[finite], t_s[finite]
@@ -216,7 +212,7 @@ def _imu(name: str, samples: Array, t_s: Array, axes: str) -> list[Check]:
 
 
 def _stillest(samples: Array, width: int) -> Array:
-    """Mean of gyro and accel (6,) over the window in which the gyro and the accel vary least."""
+    """Mean gyro and accel (6,) over the stillest window."""
     windows = samples[: len(samples) // width * width].reshape(-1, width, 6) if len(samples) >= width else samples[None]
     spread = windows.std(axis=1)
     score = spread[:, :3].sum(axis=1) + spread[:, 3:].sum(axis=1) / GRAVITY
@@ -259,7 +255,7 @@ def _halves(name: str, samples: Array) -> list[Check]:
 
 
 def _axes(name: str, f_b: Array, axes: str) -> Check:
-    """At rest and level f_b = (0, 0, -g) in FRD; another direction means other axes or a mounting rotation."""
+    """At rest and level f_b = (0, 0, -g) in FRD; else other axes or a mounting rotation."""
     tilt_deg = float(np.degrees(np.arccos(np.clip(-f_b[2] / max(np.linalg.norm(f_b), 1e-9), -1.0, 1.0))))
     if tilt_deg > 135.0:
         advice = f'the other convention fits: set [imu] axes = "{"frd" if axes == "flu" else "flu"}"'

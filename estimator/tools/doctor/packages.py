@@ -1,4 +1,4 @@
-"""Which package hides one of our six top-level names, and which one is missing; standard library only."""
+"""Packages that hide our six top-level names, or are missing; standard library only."""
 
 import importlib.util
 from importlib import metadata
@@ -36,7 +36,7 @@ def clashes() -> list[str]:
 
 
 def explain(error: ImportError) -> str | None:
-    """The cause of a failed import and what to do, on one line; None where it is neither a clash nor an extra."""
+    """Cause and remedy of a failed import, on one line; None where neither a clash nor an extra."""
     top = (error.name or "").partition(".")[0]
     if top in NAMES and (found := clashes()):
         return f"{found[0]}: rename or uninstall it, or take it off PYTHONPATH; best is an environment of its own (uv tool, venv)"

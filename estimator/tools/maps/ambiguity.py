@@ -1,7 +1,6 @@
-"""Ambiguous landmarks of a map, and positions where all around looks the same.
+"""Ambiguous landmarks of a map, and repeated surroundings.
 
-A landmark i with a similar one j is ambiguous; the position is, where the shift t = l_j - l_i maps its surroundings onto
-similar ones.
+Landmark i with a similar j is ambiguous; its position is, where t = l_j - l_i maps its surroundings onto similar ones.
 """
 
 import numpy as np
@@ -24,7 +23,7 @@ _COLUMNS = [polygon.SIZE, polygon.WIDTH, polygon.LENGTH, polygon.FILL]
 
 
 def look_alikes(the_map: LandmarkMap, radius_m: float, alike: float) -> tuple[NDArray[np.intp], Array, Array]:
-    """Pairs (P, 2) of rows, their distances [m] and similarities. Raises ValueError where there are too many to look at."""
+    """Pairs (P, 2) of rows, distances [m], similarities. Raises ValueError for too many."""
     described = the_map.description
     tree = cKDTree(described[:, [polygon.NORTH, polygon.EAST]])
     if tree.count_neighbors(tree, radius_m) > 2 * MOST_PAIRS:
@@ -40,7 +39,7 @@ def look_alikes(the_map: LandmarkMap, radius_m: float, alike: float) -> tuple[ND
 
 
 def marks(the_map: LandmarkMap, pairs: NDArray[np.intp], distances: Array) -> Alike:
-    """Per landmark: how many look like it, the nearest of them, and the nearest shift at which its surroundings look the same."""
+    """Per landmark: number of look-alikes, the nearest, and the nearest shift that repeats its surroundings."""
     count = np.bincount(pairs.ravel(), minlength=len(the_map))
     nearest = np.full(len(the_map), np.inf)
     np.minimum.at(nearest, pairs.ravel(), np.repeat(distances, 2))
@@ -48,7 +47,7 @@ def marks(the_map: LandmarkMap, pairs: NDArray[np.intp], distances: Array) -> Al
 
 
 def _repeats(places: Array, pairs: NDArray[np.intp], distances: Array) -> Array:
-    """(N,) m, inf where there is none: shifts that take a landmark and _SHARE of two or more around it to look-alikes."""
+    """(N,) m, inf for none: shifts that map a landmark and _SHARE of two or more around it to look-alikes."""
     repeats = np.full(len(places), np.inf)
     if not len(pairs):
         return repeats
@@ -64,7 +63,7 @@ def _repeats(places: Array, pairs: NDArray[np.intp], distances: Array) -> Array:
 
 
 def marked(the_map: LandmarkMap) -> Alike | None:
-    """What is written into a map; None where it is too dense to look at all pairs."""
+    """Marks to write into a map; None where too dense."""
     try:
         pairs, distances, _ = look_alikes(the_map, RADIUS_M, SIMILAR)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Is a map fit to fly on: what it holds, what it lacks, which landmarks can be taken for one another."""
+"""Content of a map, missing properties, ambiguous landmarks."""
 
 import msgspec
 import numpy as np
@@ -30,7 +30,7 @@ class LookAlike(msgspec.Struct, frozen=True):
 
 
 class Repeat(msgspec.Struct, frozen=True):
-    """A landmark, and the nearest shift that takes it and most of what is around it to look-alikes."""
+    """A landmark, and the nearest shift that maps most of its surroundings to look-alikes."""
 
     id: str
     shift_m: float
@@ -59,7 +59,7 @@ class MapCheck(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def check(the_map: LandmarkMap, radius_m: float, alike: float) -> MapCheck:
-    """Everything about a map. look_alikes: pairs at most radius_m apart whose similarity is at least `alike`, likest first."""
+    """All checks; look_alikes: pairs within radius_m of similarity >= `alike`, likest first."""
     pairs, distances, similarities = look_alikes(the_map, radius_m, alike)
     marked = marks(the_map, pairs, distances)
     order = np.lexsort((distances, -similarities))

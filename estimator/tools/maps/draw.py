@@ -1,4 +1,4 @@
-"""A map drawn: outlines filled in their colours, names where there is room, scale bar, north arrow."""
+"""A drawn map: outlines in their colours, names, scale bar, north arrow."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -23,7 +23,7 @@ _STRIP = 0.07  # of the height, along the lower edge
 
 
 def draw(the_map: LandmarkMap, title: str, alike: Alike | None = None) -> Figure:
-    """The whole map, north up, in metres from the origin; what is alike gets edges of its own. The map must not be empty."""
+    """The map (not empty), north up, metres from the origin; look-alikes have marked edges."""
     columns = the_map.columns
     low, high = _frame(columns.vertices)
     figure = Figure(figsize=_figure_size(high - low), layout="constrained", dpi=_DPI)
@@ -56,7 +56,6 @@ def draw(the_map: LandmarkMap, title: str, alike: Alike | None = None) -> Figure
 
 
 def _edges(count: int, alike: Alike | None) -> tuple[Array, Array]:
-    """Colours (N, 4) and widths (N,) of the outlines' lines."""
     colours = np.tile(to_rgba(_EDGE if count <= _MOST_EDGES else "none"), (count, 1))
     widths = np.full(count, 0.7)
     for colour, which, _ in _kinds(alike):
@@ -65,7 +64,6 @@ def _edges(count: int, alike: Alike | None) -> tuple[Array, Array]:
 
 
 def _kinds(alike: Alike | None) -> list[tuple[str, NDArray[np.bool_], str]]:
-    """Colour, rows and meaning of what is marked."""
     if alike is None:
         return []
     repeats = alike.repeats_m < np.inf
@@ -76,7 +74,6 @@ def _kinds(alike: Alike | None) -> list[tuple[str, NDArray[np.bool_], str]]:
 
 
 def _legend(figure: Figure, alike: Alike | None) -> None:
-    """What the edges mean, where there are any of their kind."""
     handles = [
         Patch(facecolor="white", edgecolor=colour, linewidth=2.0, label=f"{meaning} ({int(which.sum())})")
         for colour, which, meaning in _kinds(alike)
@@ -114,7 +111,7 @@ def _figure_size(extent: Array) -> tuple[float, float]:
 
 
 def _names(axes: Axes, the_map: LandmarkMap, fills: Array) -> None:
-    """Inside its outline where a name fits, else next to it where nothing else is; the largest landmarks first."""
+    """Names inside outlines where they fit, else beside them; largest landmarks first."""
     px_per_m = axes.get_window_extent().width / float(np.ptp(axes.get_xlim()))
     height, letter = (factor * _FONT_PT * _DPI / 72 / px_per_m for factor in (1.25, 0.62))
     d = the_map.description
@@ -147,7 +144,6 @@ def _names(axes: Axes, the_map: LandmarkMap, fills: Array) -> None:
 
 
 def _boxes(the_map: LandmarkMap, rows: NDArray[np.intp]) -> Array:
-    """South, west, north, east of the outlines (R, 4)."""
     columns = the_map.columns
     parts = [columns.vertices[columns.offsets[i] : columns.offsets[i + 1]] for i in rows.tolist()]
     return np.array([[*part.min(axis=0), *part.max(axis=0)] for part in parts])

@@ -1,4 +1,4 @@
-"""The forecast drawn: the route over the map, coloured by the predicted radius, and the radius along the way."""
+"""The forecast drawn: the route coloured by predicted radius, and the radius along it."""
 
 import numpy as np
 from matplotlib.collections import LineCollection

@@ -1,11 +1,11 @@
-"""Forecast of the 95 % radius on a route without GPS: the estimator flies it, with a perfect IMU and possible fixes.
+"""Forecast of the 95 % radius on a route without GPS: the estimator flies it with a perfect IMU.
 
-An image gives a fix by the landmarks whose roofs are whole in view, unless they may be confused within the present radius:
+An image gives a fix by landmarks with whole roofs in view, unless ambiguous within the present radius:
 
     usable(i):  nearest similar landmark > 2 r95,  or three in view whose arrangement repeats no nearer than 2 r95
 
-A fix' covariance is its measurement's, in proportion to the distance, plus the landmarks' own errors. `found` is the share of
-images with a fix; which ones is drawn three times, and the largest radius counts.
+Its covariance: the measurement's, proportional to distance, and the landmarks' own. The share `found` of images has a fix, drawn
+three times; the largest radius counts.
 """
 
 import math
@@ -38,8 +38,8 @@ _REACHES_M: Final = (400.0, 200.0, 100.0, 50.0)  # for look-alikes, the first th
 
 
 class Camera(msgspec.Struct, frozen=True):
-    """view_deg: full angle of the smaller side; images_hz; found: share of images with a fix; sigma_share: of a fix from one
-    landmark, standard deviation / distance; sigma_deg: of its attitude.
+    """view_deg: full angle of the smaller side; images_hz; found: share with a fix; sigma_share: of one landmark's fix, sigma /
+    distance; sigma_deg: attitude.
     """
 
     view_deg: float = 60.0
@@ -50,7 +50,7 @@ class Camera(msgspec.Struct, frozen=True):
 
 
 class Row(msgspec.Struct, frozen=True):
-    """A second of the flight. state: fix, alike (what is in view may be something else), none (no landmark in view)."""
+    """A second of the flight. state: fix, alike (ambiguous), none (no landmark)."""
 
     t_s: float
     way_m: float
@@ -71,7 +71,7 @@ class Stretch(msgspec.Struct, frozen=True):
 
 
 class Forecast(msgspec.Struct, frozen=True):
-    """fit: the radius stays below the limit everywhere. fixes: the fewest of the draws; longest_without_fix_s: the longest."""
+    """fit: radius below the limit everywhere; fixes: fewest of the draws; longest_without_fix_s: longest."""
 
     fit: bool
     limit_m: float
@@ -84,7 +84,7 @@ class Forecast(msgspec.Struct, frozen=True):
 
 
 class Moment(msgspec.Struct, frozen=True):
-    """An image or a second of the flight. k: sample of the flight; p_n: the estimate [m]; fixed: this image gave a fix."""
+    """An image or a second. k: sample; p_n: estimate [m]; fixed: a fix came."""
 
     k: int
     radius95_m: float
@@ -95,7 +95,7 @@ class Moment(msgspec.Struct, frozen=True):
 
 
 class Sensors:
-    """What the vehicle measures: without errors here, only the filter's error model decides. A benchmark adds errors."""
+    """Measurements of the vehicle, here without errors; a benchmark adds them."""
 
     def __init__(self, flight: Flight, origin: Origin, found: float, seed: int = 0) -> None:
         self._flight, self._origin, self._found, self._rng = flight, origin, found, np.random.default_rng(seed)
@@ -118,7 +118,7 @@ class Sensors:
 
 
 def fly_along(the_map: LandmarkMap, flight: Flight, config: FusionConfig, camera: Camera, sensors: Sensors) -> Iterator[Moment]:
-    """The flight, from the moment where GPS ends. Raises MapError where the map is too dense to search for look-alikes."""
+    """The flight from the end of GPS. Raises MapError where the map is too dense."""
     alike, reach_m = _alike(the_map)
     fusion = Fusion(msgspec.structs.replace(config, origin=the_map.origin))
     seen = _Seen(the_map, alike, reach_m, camera)
@@ -152,7 +152,7 @@ def forecast(
     limit_m: float,
     progress: Callable[[float], None] | None = None,
 ) -> Forecast:
-    """Fly it. Raises MapError where the estimate does not begin, or the map is too dense to search for look-alikes."""
+    """Fly it. Raises MapError without an estimate, or where the map is too dense."""
     place = Origin(*the_map.origin)
     runs: list[list[Moment]] = []
     for seed in range(_DRAWS):
@@ -179,7 +179,6 @@ def forecast(
 
 
 def _alike(the_map: LandmarkMap) -> tuple[Alike, float]:
-    """What looks alike, and how far it was looked for [m]. Raises MapError."""
     for reach_m in _REACHES_M:
         try:
             pairs, distances, _ = look_alikes(the_map, reach_m, SIMILAR)
@@ -190,7 +189,7 @@ def _alike(the_map: LandmarkMap) -> tuple[Alike, float]:
 
 
 class _Seen:
-    """Landmarks from above, and the fix that they give. reach_m: beyond it no look-alike was looked for."""
+    """Landmarks from above and their fix; reach_m: search radius of look-alikes."""
 
     def __init__(self, the_map: LandmarkMap, alike: Alike, reach_m: float, camera: Camera) -> None:
         self._map, self._alike, self._reach_m, self._camera = the_map, alike, reach_m, camera
@@ -199,7 +198,7 @@ class _Seen:
         self._place = d[:, [polygon.NORTH, polygon.EAST]]
 
     def from_above(self, p_n: Array, radius95_m: float) -> tuple[NDArray[np.int64], int]:
-        """Rows that are distinguishable from all that they may be taken for, and how many are in view."""
+        """Rows not ambiguous, and number in view."""
         c = self._map.columns
         half = math.tan(math.radians(0.5 * self._camera.view_deg))
         widest = half * float(-p_n[2] - c.base_d.min() + 1000.0)
@@ -229,7 +228,7 @@ class _Seen:
 
 
 def _stretches(rows: list[Row], limit_m: float) -> list[Stretch]:
-    """Runs of rows beyond the limit, each with what is missing most often in it and in the way to it."""
+    """Runs beyond the limit, each with its commonest lack."""
     found: list[Stretch] = []
     begin = 0  # of the time without a fix that leads there
     k = 0

@@ -52,8 +52,8 @@ class LearnConfig(msgspec.Struct, frozen=True):
 
 
 class LearnSummary(msgspec.Struct, frozen=True):
-    """images: processed; skipped, left_out: images and objects by reason; seen: images of each landmark; common_sigma_m:
-    horizontal and vertical error of the whole map.
+    """images: processed; skipped, left_out: by reason; seen: images per landmark; common_sigma_m: horizontal, vertical, of the
+    whole map.
     """
 
     landmarks: int
@@ -69,7 +69,7 @@ class LearnSummary(msgspec.Struct, frozen=True):
 def learn(
     log: Path, rig: StereoRig, config: Config, how: LearnConfig | None = None, progress: Callable[[float], None] = lambda _: None
 ) -> tuple[LandmarkMap, LearnSummary]:
-    """The map of what the cameras saw in the log. Raises LearnError; LogError for a file that is no log."""
+    """The map of a log's images. Raises LearnError, LogError."""
     cv2.setNumThreads(1)
     how = how or LearnConfig()
     rectified = _rectified(rig)
@@ -111,7 +111,7 @@ def _rectified(rig: StereoRig) -> Rectification:
 
 
 def _read(log: Path, config: Config) -> tuple[list[Input], bool]:
-    """What the sensors say, and whether the log is torn. Fixes from a map are left out: its errors would come back as new."""
+    """Sensor inputs, and whether the log is torn; fixes of a map are left out, or its errors would return as new."""
     decoder = config.decoder()
     with LogReader(log) as reader:
         decoded = (decoder.decode(r.topic, r.schema, r.data, r.log_time_ns) for r in reader)
@@ -119,7 +119,7 @@ def _read(log: Path, config: Config) -> tuple[list[Input], bool]:
 
 
 def _ground(messages: list[Input], origin: Origin, how: LearnConfig) -> float:
-    """Down of the ground: as given, or where GNSS has the vehicle in the log's first seconds."""
+    """Down of the ground: given, or GNSS in the first seconds."""
     if how.ground_alt_m is not None:
         return origin.to_ned(origin.lat_deg, origin.lon_deg, how.ground_alt_m)[2]
     fixes = [m for m in messages if isinstance(m, GnssFix) and m.status >= 0]
@@ -131,7 +131,6 @@ def _ground(messages: list[Input], origin: Origin, how: LearnConfig) -> float:
 
 
 def _pairs(log: Path, config: Config, how: LearnConfig, rig: StereoRig) -> Iterator[tuple[Pair, float]]:
-    """Pairs of images, and how much of the log is read."""
     sides = {**dict.fromkeys(config.inputs.left_image, "left"), **dict.fromkeys(config.inputs.right_image, "right")}
     pairing = Pairing(msgspec.structs.replace(config.vision, most_hz=how.most_hz))
     offset_ns = round(rig.time_offset_s * 1e9)
@@ -147,7 +146,6 @@ def _pairs(log: Path, config: Config, how: LearnConfig, rig: StereoRig) -> Itera
 def _look(
     pair: Pair, frame: int, smoothed: Smoothed, rectified: Rectification, ground_d: float, how: LearnConfig
 ) -> list[Observation] | str:
-    """What a pair shows, or why it is not used."""
     pose = _pose(smoothed, pair.t_ns)
     if pose is None:
         return "no pose"
@@ -170,7 +168,6 @@ def _look(
 
 
 def _pose(smoothed: Smoothed, t_ns: int) -> Prior | None:
-    """The smoothed pose at an exposure, None where there is none."""
     k = int(np.argmin(np.abs(smoothed.t_ns - t_ns)))
     node_ns = int(smoothed.t_ns[k])
     if abs(node_ns - t_ns) > _OLDEST_NS:

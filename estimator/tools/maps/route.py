@@ -1,4 +1,4 @@
-"""A planned route: read from a file, and flown at constant speed with rounded corners.
+"""A planned route, flown at constant speed with rounded corners.
 
 GPX       points of tracks, routes or waypoints       GeoJSON   the first LineString       CSV, text   latitude, longitude a line
 """
@@ -28,8 +28,8 @@ _MOST_S = 36_000.0
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """Along the route at RATE_HZ: t_s (n,), hovering below HOVER_S; s_m (n,): distance; p_n, v_n (n, 3); accel_b (n, 3): of a
-    level vehicle; heading_rad: of the first leg.
+    """At RATE_HZ: t_s (n,), hover below HOVER_S; s_m (n,): distance; p_n, v_n (n, 3); accel_b (n, 3) level; heading_rad: first
+    leg.
     """
 
     t_s: Array

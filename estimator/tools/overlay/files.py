@@ -1,4 +1,4 @@
-"""Where the cameras and the map of a log come from: named by the caller, attached to the log, or files next to it."""
+"""Cameras and map of a log: named, attached, or next to it."""
 
 import tempfile
 from pathlib import Path
@@ -28,7 +28,7 @@ class Scenery(NamedTuple):
 
 
 def configuration(log: Path, attachments: list[Attachment], given: Path | None) -> Config:
-    """What the flight was configured with: the file given, else what is attached to the log, else the defaults."""
+    """Configuration of a flight: the given file, else attached, else defaults."""
     if given is not None:
         return read(given)
     text = next((a.data for a in attachments if a.name == CONFIG_ATTACHMENT), b"")
@@ -38,8 +38,8 @@ def configuration(log: Path, attachments: list[Attachment], given: Path | None) 
 def scenery(
     log: Path, attachments: list[Attachment], given: Path | None, rig_file: Path | None = None, map_file: Path | None = None
 ) -> Scenery:
-    """Cameras and map: files named, else of the given configuration, else attached to the log, else named by the attached
-    configuration next to the log. Raises ConfigError.
+    """Cameras and map: named, else of the given configuration, else attached, else named by the attached one. Raises
+    ConfigError.
     """
     config = configuration(log, attachments, given)
     with tempfile.TemporaryDirectory() as unpacked:
@@ -62,7 +62,6 @@ def scenery(
 
 
 def _unpacked(kind: str, attachments: list[Attachment], folder: Path) -> Path | None:
-    """The attached file of that kind, written into the folder."""
     for attachment in attachments:
         if attachment.name.partition("/")[0] == kind:
             path = folder / Path(attachment.name).name

@@ -1,4 +1,4 @@
-"""What vision adds to a report: images of fixes and of looks that gave none, and the landmarks around the flight."""
+"""Vision in a report: images of fixes and failures, landmarks around the flight."""
 
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -33,7 +33,7 @@ class _Choice(NamedTuple):
 
 
 def illustrations(log: Path, config: Path | None = None, rig: Path | None = None, map_file: Path | None = None) -> Illustrate:
-    """As logs.report.write.write requires. Files as landfix overlay finds them; where there are none, no map is drawn in."""
+    """As logs.report.write.write requires; without map files nothing is drawn in."""
 
     def illustrate(collected: Collected, gathered: Gathered) -> Illustrations:
         chosen = _choose(collected, gathered)
@@ -50,7 +50,6 @@ def illustrations(log: Path, config: Path | None = None, rig: Path | None = None
 def _scenery(
     log: Path, collected: Collected, config: Path | None, rig: Path | None, map_file: Path | None
 ) -> tuple[Scenery | None, str]:
-    """Cameras and map, or why there are none. What the caller named must be there."""
     try:
         return scenery(log, list(collected.attachments), config, rig, map_file), ""
     except ConfigError as error:
@@ -60,7 +59,7 @@ def _scenery(
 
 
 def _choose(collected: Collected, gathered: Gathered) -> list[_Choice]:
-    """Looks evenly over the flight: fixes, and refusals of each kind, what the estimator refused among them."""
+    """Attempts evenly over the flight: fixes and each kind of refusal."""
     aids = {aid.t_ns: aid for aid in collected.aids if aid.topic == FIX_TOPIC}
     fixes, refusals = list[_Choice](), dict[str, list[_Choice]]()
     for t_ns, frame in sorted(gathered.frames.items()):
@@ -78,7 +77,6 @@ def _choose(collected: Collected, gathered: Gathered) -> list[_Choice]:
 
 
 def _refusal(choice: _Choice) -> str:
-    """Why there is no fix, or it was not used; "" where it was."""
     if choice.frame.fix is None:
         return choice.frame.report.outcome if choice.frame.report else "no fix"
     return choice.aid.reason if choice.aid and choice.aid.reason not in {Reason.FUSED, Reason.ALIGNING} else ""
@@ -100,7 +98,6 @@ def _shot(choice: _Choice, image: Pixels, around: Scenery | None) -> Shot:
 
 
 def _words(choice: _Choice) -> str:
-    """What it rests on, or what was in the way."""
     fix, report, aid = choice.frame.fix, choice.frame.report, choice.aid
     if fix is None:
         why = (report.detail or report.outcome.replace("_", " ")) if report else ""
@@ -113,7 +110,6 @@ def _words(choice: _Choice) -> str:
 
 
 def _landmarks(around: Scenery | None, collected: Collected) -> list[Landmark]:
-    """Those around the flight."""
     if around is None:
         return []
     p = collected.estimate.p[np.isfinite(collected.estimate.p).all(axis=1), :2]

@@ -1,4 +1,4 @@
-"""What an overlay needs of a log: the estimate at each exposure, what vision identified there, and the images one by one."""
+"""An overlay's data of a log: estimates at exposures, identifications, images."""
 
 from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -31,10 +31,10 @@ _SPACING_NS: Final = 8_000_000  # of the estimates kept: hours fit into memory, 
 
 @dataclass(slots=True)
 class Flight:
-    """A log without its images' pixels.
+    """A log without pixels.
 
-    odometry: thinned; stamps_ns: of the images of each topic; exposures_ns: of vision's requests; identified: landmarks of the
-    fixes, by exposure; modes: with their beginnings.
+    odometry: thinned; stamps_ns: by image topic; exposures_ns: of requests; identified: landmarks by exposure; modes: with
+    starts.
     """
 
     path: Path
@@ -73,7 +73,7 @@ class Flight:
             self.modes.append((stamp_of(record.data) or 0, values.get("mode", "")))
 
     def topic_of(self, topics: Sequence[str]) -> str:
-        """The one of the topics that has images. Raises LogError where there are none, or no estimate to draw from."""
+        """The topic with images. Raises LogError without images or estimate."""
         if not self.odometry:
             raise LogError(
                 f"{self.path}: holds no {ODOMETRY_TOPIC}; make an estimate first: landfix replay {self.path} -o estimate.mcap"
@@ -98,9 +98,7 @@ def read(path: Path, progress: Callable[[float], None] = lambda _: None) -> Flig
 
 
 def views(flight: Flight, topic: str, time_offset_s: float) -> list[View | None]:
-    """The estimate at the exposure of each image of the topic, or None; without a request the exposure is the stamp and the
-    last offset.
-    """
+    """Estimate at each image's exposure, or None; without a request: the stamp and last offset."""
     offset_ns, exposures = round(time_offset_s * 1e9), []
     for stamp_ns in flight.stamps_ns[topic]:
         exposures.append(flight.exposures_ns.get(ImageName(topic, stamp_ns), stamp_ns + offset_ns))
@@ -123,7 +121,7 @@ def views(flight: Flight, topic: str, time_offset_s: float) -> list[View | None]
 
 
 def images(flight: Flight, topic: str, wanted: Collection[int]) -> Iterator[tuple[int, Image | None]]:
-    """Number and pixels of the wanted images of a topic, one after the other; None for one that cannot be read."""
+    """Number and pixels of the wanted images; None where unreadable."""
     last = max(wanted, default=-1)
     with LogReader(flight.path) as reader:
         for number, record in enumerate(record for record in reader if record.topic == topic and record.schema in _IMAGES):

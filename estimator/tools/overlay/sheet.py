@@ -1,4 +1,4 @@
-"""A few of the fixes of a log on one sheet: images with the map drawn in from the fix."""
+"""Fixes of a log on one sheet: images with the map drawn from the fix."""
 
 from collections.abc import Collection, Sequence
 from contextlib import suppress
@@ -34,7 +34,7 @@ class Shown(NamedTuple):
 
 
 def write_sheet(log: Path, out: Path, rig: StereoRig, landmarks: LandmarkMap, count: int = 4) -> int:
-    """Draws `count` fixes, spread over the flight, into the PNG `out`; returns how many there were to draw."""
+    """Draw `count` fixes into the PNG `out`; returns how many exist."""
     shown = spread(_fixes(log), count)
     if shown:
         images, start_ns = find_images(log, {s.image for s in shown})
@@ -46,7 +46,6 @@ def write_sheet(log: Path, out: Path, rig: StereoRig, landmarks: LandmarkMap, co
 
 
 def _fixes(log: Path) -> list[Shown]:
-    """The fixes of the log whose left image is named by their request."""
     asked: dict[int, ImageName] = {}
     found: list[Shown] = []
     with LogReader(log) as reader:
@@ -87,7 +86,6 @@ def find_images(log: Path, wanted: set[ImageName]) -> tuple[dict[ImageName, Pixe
 
 
 def _draw(fix: LandmarkFix, image: Pixels, rig: StereoRig, landmarks: LandmarkMap, start_ns: int) -> Canvas:
-    """The image with the map drawn in."""
     many = "landmark" if len(fix.landmarks) == 1 else "landmarks"
     caption = [f"{(fix.t_ns - start_ns) * 1e-9:.1f} s: {len(fix.landmarks)} {many}, fit {fix.residual_px:.2f} px"]
     return draw_from(fix, image, rig, landmarks, fix.landmarks, caption)
@@ -101,7 +99,7 @@ def draw_from(
     identified: Collection[str] = (),
     caption: Sequence[str] = (),
 ) -> Canvas:
-    """The left image with the map drawn in as it would be seen from a pose; residuals of the landmarks identified."""
+    """The left image with the map drawn from a pose; residuals of identified landmarks."""
     canvas = np.asarray(to_8_bit(image), np.uint8)
     p_nc, R_nc = rig.camera_pose(np.array(pose.p_n), so3.matrix(so3.normalise(np.array(pose.q_nb_wxyz))))
     near = landmarks.near(p_nc[0], p_nc[1], _REACH_M)

@@ -1,4 +1,4 @@
-"""A log's images with the map drawn in, as a video, and how well it fits them, as numbers and a plot."""
+"""A log's images with the map as a video, and the residuals."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -25,7 +25,7 @@ _SLOWEST, _FASTEST = 1.0, 60.0  # images a second
 
 
 class Choice(msgspec.Struct, frozen=True):
-    """Which images: every n-th from start_s on, for seconds; right: the right camera's; everything: measure all landmarks."""
+    """Which images: every n-th from start_s for seconds; right: camera; everything: measure all landmarks."""
 
     every: int = 1
     start_s: float = 0.0
@@ -35,7 +35,7 @@ class Choice(msgspec.Struct, frozen=True):
 
 
 class _Video:
-    """A video file, or none; a context manager. Opened at the first image, whose size all have. Raises LogError."""
+    """A video file or none, a context; opened at the first image. Raises LogError."""
 
     def __init__(self, path: Path | None, rate_hz: float) -> None:
         self._path, self._rate_hz = path, rate_hz
@@ -73,7 +73,7 @@ def make(
     plot: Path | None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> OverlayResult:
-    """Draw and measure the chosen images of a topic; the video and the plot where they are wanted. Raises LogError."""
+    """Draw and measure the chosen images; video and plot where wanted. Raises LogError."""
     if plot:
         _check_plot(plot)
     seen_from = views(flight, topic, scenery.rig.time_offset_s)
@@ -115,14 +115,12 @@ def make(
 
 
 def _check_plot(path: Path) -> None:
-    """Raises LogError where no plot can be written there."""
     if path.suffix.lower() not in _PLOTS:
         raise LogError(f"{path}: no kind of picture that can be written (known: {', '.join(_PLOTS)})")
     check_output(path)
 
 
 def _check_size(log: Path, image: Image, overlay: Overlay) -> None:
-    """Raises LogError where the images are not the calibrated camera's."""
     if image.shape[1::-1] != (overlay.camera.width, overlay.camera.height):
         raise LogError(
             f"{log}: images of {image.shape[1]} x {image.shape[0]}, a calibration for "
@@ -135,7 +133,6 @@ def _chosen(choice: Choice, number: int, t_s: float) -> bool:
 
 
 def _rate_hz(wanted: dict[int, View]) -> float:
-    """Images a second, as they were taken."""
     t_ns = [view.t_ns for view in wanted.values()]
     step_s = float(np.median(np.diff(t_ns))) * 1e-9 if len(t_ns) > 1 else 1.0
     return float(np.clip(1.0 / max(step_s, 1e-9), _SLOWEST, _FASTEST))

@@ -1,4 +1,4 @@
-"""Noise parameters from logs without a truth: keys, score, search. Begin with `search`.
+"""Noise parameters from logs without truth: keys, score, search. Begin with `search`.
 
 May import estimator.config and the layers below it.
 """

@@ -1,7 +1,4 @@
-"""What `landfix tune` may turn: keys of the configuration, how far, and how they are written back.
-
-Every key is searched on a logarithmic scale.
-"""
+"""Keys that `landfix tune` may vary, their range (logarithmic) and their output."""
 
 import re
 from collections.abc import Collection, Iterable
@@ -15,7 +12,7 @@ Values = dict[str, float]
 
 
 class Key(NamedTuple):
-    """A key and its bounds; needs: what must be in a log for it to matter ("" always)."""
+    """A key and its bounds; needs: what a log must hold for it ("" always)."""
 
     name: str
     low: float
@@ -43,7 +40,7 @@ KEYS: Final = {key.name: key for key in (*_NOISE, *_TRUTH)}
 
 
 def chosen(sources: Collection[str], named: Iterable[str] = (), truth: bool = False) -> list[Key]:
-    """The keys to vary: those named, else all noise parameters in use (truth: there is one). Raises ConfigError."""
+    """Named keys, else all noise parameters in use. Raises ConfigError."""
     names = list(named)
     if unknown := [name for name in names if name not in KEYS]:
         raise ConfigError(f"--vary {unknown[0]}: cannot be tuned; there are {', '.join(KEYS)}")

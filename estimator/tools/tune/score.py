@@ -1,10 +1,10 @@
-"""The score of a configuration on one log: the log-likelihood of fixes that were held back.
+"""Score of a configuration on a log: log-likelihood of held-out fixes.
 
-Absolute fixes are held back in windows, each once, and compared with the published estimate x of covariance P:
+Held out in windows, each once, against the estimate x, P:
 
     y = z [-] x,   S = P + R,   score = ln( (1 - eps) N(y; 0, S) + eps U )
 
-a proper score (Gneiting & Raftery 2007, JASA 102); eps U: density of a false fix. A time without an estimate scores ln(eps U).
+A proper score (Gneiting & Raftery 2007, JASA 102); eps U: density of a false fix, also the score without estimate.
 """
 
 import math
@@ -41,9 +41,9 @@ Absolute = PoseFix | LandmarkFix | GnssFix
 
 
 class Job(msgspec.Struct, frozen=True):
-    """One log under one configuration; values: "section.key" -> number in place of those of the TOML text `config`.
+    """One log and configuration; values: "section.key" -> number replacing those of `config` (TOML).
 
-    outage_s: of windows and the time between; truth: topic of poses in place of held fixes.
+    outage_s: of windows and between them; truth: topic of poses instead of fixes.
     """
 
     log: str
@@ -54,9 +54,8 @@ class Job(msgspec.Struct, frozen=True):
 
 
 class Window(msgspec.Struct, frozen=True):
-    """n comparisons of a window, their mean score, and how many are more probably false.
-
-    Of the others sums of y^T S^-1 y, degrees of freedom and squared position errors; covered: inside their 95 % ellipsoid.
+    """n comparisons, mean score, number probably false; of the others sums of y^T S^-1 y, dof, squared position errors; covered:
+    within 95 %.
     """
 
     start_s: float
@@ -75,7 +74,7 @@ class _Log(NamedTuple):
 
 
 def score(job: Job) -> list[Window]:
-    """The windows of a log under a configuration. Raises LogError where there is nothing to compare with."""
+    """Windows of a log. Raises LogError with nothing to compare."""
     config = with_values(parse(job.config), job.values)
     messages, truth = _read(job.log, job.config, job.truth)
     begin_ns = min((m.t_ns for m in messages if isinstance(m, Absolute)), default=0) + round(_SETTLE_S * 1e9)
@@ -94,7 +93,7 @@ def score(job: Job) -> list[Window]:
 
 
 class _Stretches(NamedTuple):
-    """Equal stretches of time from begin_ns on; every other one is a window in each of two folds."""
+    """Equal stretches from begin_ns; every other one is a window, in two folds."""
 
     begin_ns: int
     period_ns: int
@@ -111,7 +110,7 @@ class _Stretches(NamedTuple):
 
 
 def _wanted(messages: Sequence[Input], truth: Trajectory | None, stretch: _Stretches, gnss_late_ns: int) -> list[Absolute]:
-    """What the estimate is compared with, in order of validity: the truth everywhere, or the fixes that are held back."""
+    """What is compared, in order of validity: truth, or held fixes."""
     if truth is not None:
         return [z for z in _truths(truth) if z.t_ns >= stretch.begin_ns]
     held = [_at_validity(m, gnss_late_ns) for m in messages if isinstance(m, Absolute) and stretch.held_back(m)]
@@ -119,7 +118,7 @@ def _wanted(messages: Sequence[Input], truth: Trajectory | None, stretch: _Stret
 
 
 def sources(log: str, config: str) -> frozenset[str]:
-    """Sections of the configuration that judge what absolute fixes are in a log, and those of the air where they are in use."""
+    """Sections that judge the log's absolute fixes, and those of the air in use."""
     named: dict[type[Input], str] = {PoseFix: "pose_fix", LandmarkFix: "landmark_fix", GnssFix: "gnss"}
     drag, messages = parse(config).drag.enabled, _read(log, config, "").messages
     in_air = drag or any(isinstance(m, Reading) and m.kind == "airspeed" for m in messages)
@@ -128,7 +127,6 @@ def sources(log: str, config: str) -> frozenset[str]:
 
 
 def _at_validity(z: Absolute, late_ns: int) -> Absolute:
-    """A fix with the stamp that it is valid at."""
     return msgspec.structs.replace(z, t_ns=z.t_ns - late_ns) if isinstance(z, GnssFix) else z
 
 
@@ -143,7 +141,6 @@ def with_values(config: Config, values: dict[str, float]) -> Config:
 
 @lru_cache(maxsize=16)
 def _read(log: str, config: str, truth: str) -> _Log:
-    """The inputs of a log, which one process reads once."""
     decoder = parse(config).decoder()
     messages: list[Input] = []
     data: list[bytes] = []
@@ -163,7 +160,6 @@ def _read(log: str, config: str, truth: str) -> _Log:
 
 
 def _truths(truth: Trajectory) -> Iterator[PoseFix]:
-    """Poses of the truth, two a second; its own covariance where it has one."""
     last = -1
     for k, t_ns in enumerate(truth.t_ns.tolist()):
         if t_ns // _TRUTH_EVERY_NS == last or not np.isfinite(truth.p[k]).all():
@@ -211,7 +207,6 @@ class _Comparison(NamedTuple):
 
 
 def _compare(z: Absolute, estimate: Estimate | None, config: Config) -> _Comparison:
-    """The score of one held fix."""
     rows = np.arange(3) if isinstance(z, GnssFix) else given_components(z.covariance).rows
     worst = _FALSE - float(_LOG_BOX[rows].sum())
     if estimate is None:
@@ -235,7 +230,7 @@ def _compare(z: Absolute, estimate: Estimate | None, config: Config) -> _Compari
 
 
 def _noise(z: PoseFix | LandmarkFix, config: Config) -> Array:
-    """R of a fix, as the filter takes it; what is not given is replaced by something finite that is not read."""
+    """R of a fix as in the filter; components not given become finite."""
     rules = config.landmark_fix if isinstance(z, LandmarkFix) else config.pose_fix
     scale = rules.noise_scale if z.topic else 1.0  # the truth has no topic
     common = np.zeros((6, 6)) if z.covariance_common is None else z.covariance_common
@@ -244,7 +239,7 @@ def _noise(z: PoseFix | LandmarkFix, config: Config) -> Array:
 
 
 def _gnss(z: GnssFix, p_n: Array, q: Array, estimate: Estimate, config: Config) -> tuple[Array, Array]:
-    """Innovation (3,) and noise (3, 3) of a GNSS position; its slow error is that of the fixes before the window too."""
+    """Innovation (3,) and noise (3, 3) of a GNSS position, slow error included."""
     origin, rules = Origin.of(estimate.origin), config.gnss
     if origin is None:
         return np.full(3, FALSE_POSITION_M), np.eye(3)

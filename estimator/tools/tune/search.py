@@ -1,7 +1,6 @@
-"""Search of noise parameters over logs: a Sobol' sequence, then COBYQA (Ragonneau & Zhang 2024), judged by score.py.
+"""Search of noise parameters: Sobol' sequence, then COBYQA (Ragonneau & Zhang 2024).
 
-Of the values that the logs do not separate from the best (Breiman et al. 1984) the one nearest to the start is taken, wherever
-the start is the wider.
+Of indistinguishable values (Breiman et al. 1984) the nearest to the start is taken, where that is wider.
 """
 
 import math
@@ -30,9 +29,7 @@ _BACK: Final = (0.25, 0.5, 0.75, 1.0)  # parts of the way back to a wider start
 
 
 class Summary(msgspec.Struct, frozen=True):
-    """Of logs under one configuration; score: mean over windows of a fix' log score; false: fixes more probably false, not
-    counted in nis_per_dof.
-    """
+    """Logs under one configuration; score: mean log score; false: probably false fixes, not in nis_per_dof."""
 
     windows: int
     fixes: int
@@ -56,9 +53,7 @@ class Gain(msgspec.Struct, frozen=True):
 
 
 class TunedKey(msgspec.Struct, frozen=True):
-    """A parameter before and after; half, double: gain of the score at so many times the tuned value; determined: a loss on
-    both sides beyond chance.
-    """
+    """A parameter before and after; half, double: gain of score there; determined: loss on both sides beyond chance."""
 
     name: str
     before: float
@@ -95,7 +90,7 @@ class TuneConfig(msgspec.Struct, frozen=True):
 
 
 class Tuner:
-    """The search over logs with a configuration (TOML text), work done by an executor: processes here, or a cluster."""
+    """Search over logs with a configuration (TOML), by an executor."""
 
     def __init__(
         self,
@@ -137,7 +132,7 @@ class Tuner:
         )
 
     def _coarse(self, start: Array) -> Array:
-        """The best of the start and a Sobol' sequence in the box around it."""
+        """The best of the start and a Sobol' sequence around it."""
         low, high = self._box()
         low, high = np.maximum(low, start - _DECADES), np.minimum(high, start + _DECADES)
         places = [start]
@@ -148,7 +143,6 @@ class Tuner:
         return places[int(np.argmin(costs))]
 
     def _fine(self, start: Array) -> Array:
-        """COBYQA from there; the best place that it saw."""
         low, high = self._box()
         if self._settings.fine < 1:
             return start
@@ -171,7 +165,7 @@ class Tuner:
         return [np.clip(place + sign * _DOUBLED * row, low, high) for row in np.eye(len(place)) for sign in (-1.0, 1.0)]
 
     def _polished(self, place: Array) -> Array:
-        """The point, or the best of its neighbours as long as one is better: reported as worse is only what is worse."""
+        """The best of the point and its neighbours, repeated."""
         for _ in range(_ROUNDS):
             places = [place, *self._aside(place)]
             costs = [-summary(windows).score for windows in self._windows(places)]
@@ -181,7 +175,7 @@ class Tuner:
         return place
 
     def _cautious(self, best: Array, start: Array) -> Array:
-        """Back towards a start of wider noise, all keys together and then each alone, until that is worse beyond chance."""
+        """Back towards wider noise, all keys together, then each, while not worse beyond chance."""
         reference = self._windows([best])[0]
         back = np.where([key.is_noise for key in self._keys], np.maximum(start - best, 0.0), 0.0)
         place, end = best, best + back
@@ -194,7 +188,6 @@ class Tuner:
         return place
 
     def _judged(self, config: Config, best: Array, values: Values, after: list[Window]) -> tuple[TunedKey, ...]:
-        """What half and double of each parameter would cost."""
         low, high = self._box()
         gains = [_gain(windows, after) for windows in self._windows(self._aside(best))]
         judged = []
@@ -221,11 +214,10 @@ class Tuner:
         return {key.name: from_search(key, float(x)) for key, x in zip(self._keys, place, strict=True)}
 
     def _windows(self, places: Sequence[Array]) -> list[list[Window]]:
-        """The windows of all logs at each of the places; what is known is not run again."""
+        """Windows of all logs at each place, cached."""
         return self._of([self._values(place) for place in places])
 
     def _of(self, several: Sequence[Values], logs: Sequence[str] = ()) -> list[list[Window]]:
-        """As _windows, of values; of other logs too."""
         logs = tuple(logs) or self._logs
         names = [(logs, tuple(values.items())) for values in several]
         new = {name: values for name, values in zip(names, several, strict=True) if name not in self._known}
@@ -254,7 +246,7 @@ def summary(windows: Sequence[Window]) -> Summary:
 
 
 def warning(result: TuneResult) -> str:
-    """What speaks against the new values, by the logs that were not tuned on; empty where nothing does."""
+    """Objections to the new values from held-out logs; empty for none."""
     gain = result.held_out_gain
     if gain is None or all(key.after == key.before for key in result.keys):
         return ""
