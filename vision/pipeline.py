@@ -1,10 +1,10 @@
-"""From images to a LandmarkFix, or the reason for none.
+"""From images to a LandmarkFix, or the reason for none; never raises.
 
     check -> predict and verify (predict.py)      where the prior is good enough
           -> all outlines as one pattern (pattern.py) where single outlines are too weak
           -> segment and identify (recognise.py)  at boot, where the prior is lost, or where that does not settle
 
-Never raises in flight. Without a usable image of one camera the other one works alone.
+One camera suffices where the other has no usable image.
 """
 
 from dataclasses import replace
@@ -54,7 +54,7 @@ class PipelineConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LandmarkPipeline:
-    """Images of one rig over one map. Raises ValueError for a rig whose images cannot be rectified."""
+    """Images of one rig over one map. Raises ValueError for a rig that cannot be rectified."""
 
     def __init__(self, rig: StereoRig, landmarks: LandmarkMap, config: PipelineConfig | None = None) -> None:
         c = config or PipelineConfig()
@@ -65,7 +65,7 @@ class LandmarkPipeline:
         self._predict = PredictPath(rig, c.predict, c.pose, gone, alone=not landmarks.automatic)
 
     def process(self, left: Image | None, right: Image | None, t_ns: int, prior: Prior) -> Result:
-        """One pair, or one image (None: there is no other), taken at t_ns where prior says. Never raises."""
+        """A pair, or one image, of t_ns near the prior. Never raises."""
         try:
             with np.errstate(all="ignore"):
                 result = self._process(left, right, t_ns, prior)
@@ -93,7 +93,6 @@ class LandmarkPipeline:
         return result if result.fix is not None or not predicted else _with_remark(result, predicted)
 
     def _verified(self, found: Identified, near: list[Landmark], t_ns: int, prior: Prior) -> Result:
-        """What predict and verify says of the position by identified regions."""
         moves = self._predict.moves(found.images, near, found.posterior)
         if moves is None:
             return nothing(t_ns, "no_pose", found.images.remark)
@@ -103,7 +102,7 @@ class LandmarkPipeline:
         return with_regions(result, found.reports)
 
     def _predicted(self, images: Images, near: list[Landmark], t_ns: int, prior: Prior) -> Result | str:
-        """What predict and verify says; where segmentation is to have its turn, why outlines were not searched, if so."""
+        """Result of predict and verify, or why segmentation comes next."""
         only = self._config.path == "predict"
         moves = self._predict.moves(images, near, prior)
         if moves is None:
@@ -125,14 +124,13 @@ class LandmarkPipeline:
         return result if only or settled or narrow else ""
 
     def _may_be_the_next_house(self, located: Result, images: Images, near: list[Landmark], prior: Prior) -> bool:
-        """Whether a position from which the map repeats itself shows the same, or nearly so."""
+        """Whether a repeated position of the map shows the same, or nearly so."""
         steps = _to_the_next_house(located, self._config.predict.most_fitted, near, prior)
         if located.pose is None or not len(steps):
             return False
         return not self._predict.stands_out(images, near, located.pose, steps, prior)
 
     def _near(self, prior: Prior) -> list[Landmark]:
-        """Landmarks that may be in view: 4 sigma around what the left camera overlooks, nearest first."""
         sigma = 4.0 * float(np.sqrt(np.linalg.eigvalsh(prior.covariance[:2, :2])[-1]))
         p_nc, R_nc = self._rig.camera_pose(prior.p_n, prior.R_nb)
         c = self._rig.left
@@ -149,17 +147,15 @@ class LandmarkPipeline:
 
 
 def _with_remark(result: Result, remark: str) -> Result:
-    """The result with one more remark in its report."""
     report = msgspec.structs.replace(result.report, detail="; ".join(text for text in (result.report.detail, remark) if text))
     return replace(result, report=report)
 
 
 def _to_the_next_house(result: Result, most: int, near: list[Landmark], prior: Prior) -> Array:
-    """Steps (S, 3) to positions that show the same, as far as the landmarks of the fix decide (`most` of them are fitted).
+    """Steps (S, 3) to positions that look the same by the fix' landmarks (`most` are fitted).
 
-    An outline found by chance (1 in 20) against one found where it is (6 in 10) counts 12, one not found 1 / 2.6: over eight
-    houses around, four found and one missing reach odds of 1000. Where the map has the houses a step further, no number
-    decides.
+    An outline found counts 12 (1 in 20 by chance, 6 in 10 otherwise), one missed 1 / 2.6. Where the map repeats its houses a step
+    further, no number decides.
     """
     if result.fix is None or result.pose is None:
         return np.zeros((0, 3))

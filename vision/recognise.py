@@ -1,4 +1,4 @@
-"""Recognition by description, at boot and for a lost prior (thesis chapter 5); predict and verify then searches at its position.
+"""Recognition by description, at boot or for a lost prior (thesis chapter 5).
 
 rectify -> segment -> regions -> correspond -> measure -> identify -> position
 """
@@ -68,7 +68,7 @@ class _Seen:
 
 @dataclass(frozen=True, slots=True)
 class Identified:
-    """A pose to examine: images that fit each other; posterior: of the position; reports: a line of each region."""
+    """A pose to examine; images that fit each other; posterior; reports per region."""
 
     images: Images
     posterior: Prior
@@ -102,7 +102,6 @@ class SegmentPath:
         return self._decide(images, seen, known, t_ns, prior)
 
     def _views(self, images: Images) -> _Views:
-        """Rectified."""
         r = self._rectified
         maps = (r.right, r.left) if images.only_right else (r.left, r.right)
         raw = (images.right, None) if images.only_right else (images.left, images.right)
@@ -116,7 +115,7 @@ class SegmentPath:
         return segment_regions(views.work, views.valid, Settings(colours, self._config.space, limits=limits))
 
     def _measure(self, images: Images, views: _Views, regions: list[Region], prior: Prior, known: Catalogue) -> _Seen | str:
-        """What the regions are in metres; a pair that contradicts its calibration counts as one camera, a swapped one as none."""
+        """Regions in metres; a pair that contradicts its calibration counts as one camera, a swapped one as none."""
         usable_regions = [r for r in regions if not r.touches_border or self._corners(views, r).sum() > 1]
         refused = [_cut_off(r) for r in regions if all(r is not one for one in usable_regions)]
         if views.other is None:
@@ -147,7 +146,7 @@ class SegmentPath:
         return _Seen(kept, seen, refused, True, sightings.shared_scale_sigma(measured), images.remark)
 
     def _rows_off(self, views: _Views, matches: Sequence[Match | Unmatched]) -> float:
-        """By how much the rows of the pair differ beyond what its calibration allows [px], 0 where they fit."""
+        """Row difference of the pair beyond its calibration [px], 0 where they fit."""
         found = [m for m in matches if isinstance(m, Match)]
         limit = max(_ROWS_PX, 3.0 * self._rows_sigma_px)
         off = [m.vertical_px for m in found if abs(m.vertical_px) > limit + 3.0 * m.vertical_sigma_px]
@@ -184,7 +183,6 @@ class SegmentPath:
     def _sighting(
         self, views: _Views, region: Region, one: Sighting | None, prior: Prior, rig: StereoRig, known: Catalogue
     ) -> Sighting | RegionReport:  # fmt: skip
-        """What identification gets of a region that was measured, or why it gets nothing."""
         if one is None:
             return _not_measured(region, _TOO_FLAT)
         if region.touches_border:
@@ -192,14 +190,12 @@ class SegmentPath:
         return one
 
     def _corners(self, views: _Views, region: Region) -> NDArray[np.bool_]:
-        """Which points of a region's outline are corners that the border has not made."""
         if region.corners is None:
             return np.zeros(len(region.outline), np.bool_)
         height, width = views.work.shape[:2]
         return seen_corners(region.corners, width, height, views.valid)
 
     def _decide(self, images: Images, seen: _Seen, known: Catalogue, t_ns: int, prior: Prior) -> Identified | Result:
-        """Identify; regions that stay open are kept for the next image."""
         rig = sightings.one_eyed(self._rectified.rig, right=images.only_right)
         remembered = self._memory.recall(seen.sightings, t_ns, prior) if seen.metric else []
         every = seen.sightings + remembered
@@ -217,7 +213,7 @@ class SegmentPath:
 
 
 def _rows_sigma(rig: StereoRig) -> float:
-    """By how much rows may differ by the calibration's uncertainty [px]: f drx, and both principal points."""
+    """Calibration sigma of row differences [px]: f drx, principal points."""
     turn = 0.0 if rig.covariance_rc is None else float(rig.covariance_rc[3, 3]) * rig.left.fy**2
     return float(np.sqrt(turn + sum(float(c.covariance[3, 3]) for c in (rig.left, rig.right) if c.covariance is not None)))
 
@@ -235,7 +231,6 @@ def _similarity(found: Identification, i: int) -> float:
 
 
 def _region(region: Region, found: Identification, i: int, known: Catalogue, config: IdentifyConfig) -> RegionReport:
-    """One line of the why-not."""
     landmark = found.landmark[i] if found.landmark[i] != NONE else found.best[i]
     name = known.ids[landmark] if landmark != NONE else ""
     posterior, candidates = float(found.posterior[i]), int(found.candidates[i])

@@ -9,8 +9,7 @@
                                other views that agree
     ridge                      where nothing of this succeeded, and the search's best positions are one line: across it, peak.py
 
-All of them end in a LandmarkFix; the image counts as one landmark, named as its file, with the errors of its georeference.
-The result depends on the requests since the run began and on nothing else: a replay takes the same decisions.
+The image counts as one landmark, named as its file. Results depend on the requests alone: a replay decides the same.
 """
 
 from collections.abc import Iterator
@@ -71,9 +70,9 @@ class MapImage:
 
 @dataclass(frozen=True, slots=True)
 class _Likely:
-    """What one image said of the prior's error: offset_n (3,), its covariance, and the prior's variance then.
+    """One image's error of the prior: offset_n (3,), covariance, prior's variance.
 
-    shown_n: the middle (2,) of what it shows, and of what each earlier image that agrees showed; length_m: of that, at most.
+    shown_n: middles (2,) of its view and those that agree; length_m: largest.
     """
 
     t_ns: int
@@ -84,19 +83,19 @@ class _Likely:
     length_m: float
 
     def shows_the_same(self, other: "_Likely") -> bool:
-        """Whether too little of what it shows is new: a false match on the ground would be there again."""
+        """Too little of the view is new: a false match would recur."""
         apart = [np.linalg.norm(self.shown_n[0] - shown) for shown in other.shown_n]
         return bool(min(apart) < _NEW_VIEW * self.length_m)
 
     def agrees(self, before: "_Likely") -> bool:
-        """Whether both say the same of the prior's error, as far as it has not grown in between."""
+        """Whether both show the same prior error, but for its growth."""
         apart = self.offset_n - before.offset_n
         drift = np.diag(np.maximum(self.prior - before.prior, 0.0))
         return bool(apart @ np.linalg.solve(self.covariance + before.covariance + drift, apart) < _SAME_99)
 
 
 class Recognisers:
-    """Images of one rig over one map. Raises ValueError for a rig whose images cannot be rectified."""
+    """Images of one rig over one map. Raises ValueError for a rig that cannot be rectified."""
 
     def __init__(
         self, rig: StereoRig, landmarks: LandmarkMap, known: MapImage | None = None, config: RecogniserConfig | None = None
@@ -107,7 +106,7 @@ class Recognisers:
         self._likely: _Likely | None = None
 
     def process(self, left: Image | None, right: Image | None, t_ns: int, prior: Prior) -> Result:
-        """One pair, or one image (None: there is no other), taken at t_ns where prior says. Never raises."""
+        """A pair, or one image, of t_ns near the prior. Never raises."""
         right = None if self._rig.one_camera else right
         described = self._pipeline.process(left, right, t_ns, prior)
         if self._known is None or described.fix is not None or described.report.outcome in {"no_prior", "no_image", "internal"}:
@@ -120,7 +119,6 @@ class Recognisers:
         return _both(described, seen) if self._has_landmarks else seen
 
     def _look(self, known: MapImage, left: Image | None, right: Image | None, t_ns: int, prior: Prior) -> Result:
-        """The image's turn, with the left camera or, where that gave nothing, with the right one."""
         use_right = left is None or image_flaw(left, self._rig.left) is not None
         image, rig = (right if use_right else left), one_eyed(self._rig, right=use_right)
         assert image is not None  # the pipeline found one of them good
@@ -140,9 +138,7 @@ class Recognisers:
         return last if last.fix is not None else self._across(known, rig, found, last, prior)
 
     def _by_peak(self, known: MapImage, rig: StereoRig, found: Registered | NotRegistered, prior: Prior, laid: Result) -> Result:
-        """What the search says, a fix where it needs no other evidence or has it, edges that agree or likely blocks; a pose
-        without a fix where it is only clear; else what became of the blocks.
-        """
+        """A fix by the peak alone or with other evidence; a pose without fix where only clear; else the blocks' outcome."""
         peak, config = found.peak, self._config.peak
         if peak is None:
             return laid
@@ -163,7 +159,7 @@ class Recognisers:
         return replace(fixed, fix=None, report=msgspec.structs.replace(fixed.report, outcome="waiting", candidates=0))
 
     def _across(self, known: MapImage, rig: StereoRig, found: Registered | NotRegistered, last: Result, prior: Prior) -> Result:
-        """A fix across the line of the search's best positions, where they are one; else what was said last."""
+        """A fix across the line of best positions, or the last result."""
         peak, config = found.peak, self._config.peak
         pose = "" if peak is None else fit_ridge(rig, prior, known.image, peak, config)
         if isinstance(pose, str) or pose_flaw(pose, prior):
@@ -177,7 +173,6 @@ class Recognisers:
         return _fixed(last.report.t_ns, known.image.name, pose, (1, 1), evidence, peak.correlation)
 
     def _agreed(self, known: MapImage, found: Registered | NotRegistered, weak: Result, prior: Prior) -> Result:
-        """A fix where images of other views said the same; else the peak waits for them."""
         assert weak.pose is not None
         assert found.peak is not None
         if self._is_confirmed(weak.pose, found.peak, weak.report.t_ns, prior, _PEAK_VIEWS):
@@ -187,7 +182,6 @@ class Recognisers:
         return replace(weak, pose=None, report=_with_detail(weak.report, "images of other views must agree"))
 
     def _laid(self, known: MapImage, found: Registered | NotRegistered, t_ns: int, prior: Prior) -> Result:
-        """What registration found, judged."""
         if isinstance(found, NotRegistered):
             return _refused(t_ns, found.reason, f"{known.image.name}: {found.detail}")
         evidence = (
@@ -204,9 +198,9 @@ class Recognisers:
         return _fixed(t_ns, known.image.name, found.pose, (found.tried, found.agreed), evidence)
 
     def _is_confirmed(self, pose: PoseEstimate, peak: Peak, t_ns: int, prior: Prior, views: int) -> bool:
-        """Whether so many views, this one included, say the same of the prior's error; if not, this one waits for the next.
+        """Whether `views` views show the same prior error; else this one waits.
 
-        An image of the same view confirms nothing, and the earlier one waits on.
+        A repeated view confirms nothing.
         """
         variance, length_m = np.diag(prior.covariance)[:3], peak.q * self._config.registration.coarse
         now = _Likely(t_ns, pose.joint_p_n - prior.p_n, pose.joint_covariance[:3, :3], variance, (peak.shown_n,), length_m)
@@ -221,7 +215,6 @@ class Recognisers:
         return len(now.shown_n) >= views
 
     def _by_points(self, known: MapImage, rig: StereoRig, image: Image, t_ns: int, prior: Prior) -> Iterator[Result]:
-        """What features say, and then the learned ones."""
         yield _pointed(known.image.name, recognise(rig, image, prior, known.features, self._config.features), "", t_ns, prior)
         if known.learned is not None:
             found = recognise_learned(known.learned, rig, image, prior, known.image)
@@ -229,7 +222,6 @@ class Recognisers:
 
 
 def _pointed(name: str, found: Recognised | NotRecognised, kind: str, t_ns: int, prior: Prior) -> Result:
-    """What features of a kind found, judged."""
     if isinstance(found, NotRecognised):
         return _refused(t_ns, found.reason, f"{name}: {kind}{found.detail}")
     evidence, counts = f"{name}: {found.inliers} of {found.matched} {kind}features agree", (found.matched, found.inliers)
@@ -239,13 +231,11 @@ def _pointed(name: str, found: Recognised | NotRecognised, kind: str, t_ns: int,
 
 
 def _both(described: Result, seen: Result) -> Result:
-    """One report of both: the outcome is the image's, what became of the regions is kept."""
     detail = f"landmarks: {described.report.outcome} {described.report.detail}".strip() + f"; image: {seen.report.detail}"
     return replace(seen, report=msgspec.structs.replace(seen.report, detail=detail), regions=described.regions)
 
 
 def _with_detail(report: VisionReport, detail: str) -> VisionReport:
-    """The report with one more remark."""
     added: VisionReport = msgspec.structs.replace(report, detail=f"{report.detail}; {detail}")
     return added
 

@@ -1,4 +1,4 @@
-"""Regions of an image and their description: outline, width, length, size, fill ratio and colour, in metres from two cameras.
+"""Regions of an image in metres: outline, width, length, size, fill ratio, colour.
 
     segment -> regions -> correspond (left and right) -> measure;  survey: all of it for a pair
 

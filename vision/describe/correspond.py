@@ -1,10 +1,10 @@
-"""Correspondence: the region of the left image in the right one (thesis sections 4.3.2, 4.5 and 5.4).
+"""Correspondence: the left image's region in the right one (thesis sections 4.3.2, 4.5 and 5.4).
 
     coarse   Sobel edges of a reduced image, normalised correlation coefficient along the epipolar line (eq. 4.64, 4.80),
              the region's own pixels and a rim, left to right and back
     fine     in cells, by Gauss-Newton on  I_r(u - d, v) = g I_l(u, v) + o,  with the variance from the remainder
 
-Both images are rectified and grey, uint8 or uint16.
+Images are rectified and grey, uint8 or uint16.
 """
 
 from collections.abc import Sequence
@@ -43,10 +43,10 @@ class Search:
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """A region found in the right image; disparity = u_l - u_r.
+    """A region in the right image; disparity = u_l - u_r.
 
-    points (M, 2), disparities (M,), sigmas (M,): the cells [px]; plane: through them; score: correlation coefficient at the
-    coarse level; vertical_px: v_r - v_l, 0 for a calibrated, synchronous pair, with vertical_sigma_px.
+    points (M, 2), disparities (M,), sigmas (M,): cells [px]; plane: through them; score: coarse correlation; vertical_px: v_r -
+    v_l, sigma vertical_sigma_px.
     """
 
     region: Region
@@ -61,7 +61,7 @@ class Match:
 
 @dataclass(frozen=True, slots=True)
 class Unmatched:
-    """A region not found in the right image, and why; behind: found, but on the side where only swapped images have it."""
+    """A region without match, and why; behind: matched on the side of swapped images."""
 
     region: Region
     reason: str
@@ -71,7 +71,7 @@ class Unmatched:
 def correspond(
     left: Image, right: Image, regions: Sequence[Region], rig: StereoRig, search: Search | None = None
 ) -> list[Match | Unmatched]:
-    """One Match or Unmatched per region, in order. left, right: rectified grey images; rig: the rectified rig."""
+    """A Match or Unmatched per region, in order; left, right: rectified grey images of `rig`."""
     search = search or Search()
     pair = _Pyramid(left, right)
     return [_match(pair, region, rig, search) for region in regions]
@@ -127,7 +127,7 @@ def _match(pair: _Pyramid, region: Region, rig: StereoRig, search: Search) -> Ma
 
 
 def _coarse(pair: _Pyramid, region: Region, offset: float, reach: float, search: Search) -> tuple[int, float] | str:
-    """Disparity [px, to about one coarse pixel] and score, or why there is none. Sought on both sides of infinity."""
+    """Coarse disparity [px] and score, or why there is none; both sides of infinity are searched."""
     level = 1
     while region.mask.sum() / 4**level > search.template_px and level < 4:
         level += 1
@@ -150,7 +150,7 @@ def _coarse(pair: _Pyramid, region: Region, offset: float, reach: float, search:
 
 
 def _to_the_pixel(pair: _Pyramid, rim: Pixels, disparity: int, search: Search) -> tuple[int, int] | str:
-    """Disparity and vertical offset to one pixel, by the same coefficient at full resolution, or why there is none."""
+    """Disparity and vertical offset to one pixel at full resolution, or why there is none."""
     left, right = pair.grey(0)
     some = rim[:: max(len(rim) // 900, 1)]
     vertical = 0
@@ -176,7 +176,7 @@ def _to_the_pixel(pair: _Pyramid, rim: Pixels, disparity: int, search: Search) -
 def _fine(
     pair: _Pyramid, region: Region, rig: StereoRig, search: Search, start: tuple[int, int, float, float]
 ) -> Match | Unmatched:
-    """From the region's inside if it has texture enough; else from its edges too, which the ground beside them moves."""
+    """From the region's inside where textured, else with its edges, which the ground moves."""
     inside = cv2.erode(region.mask.view(np.uint8), _SQUARE, borderType=cv2.BORDER_CONSTANT, borderValue=0).view(np.bool_)
     match = _cells(pair, region, rig, search, start, (inside, 0, 0.0))
     if isinstance(match, Match) and match.plane.covariance[0, 0] < search.rim_sigma_px**2:
@@ -193,7 +193,7 @@ def _cells(
     start: tuple[int, int, float, float],
     where: tuple[NDArray[np.bool_], int, float],
 ) -> Match | Unmatched:
-    """Cells and the plane through them, twice: the second time each cell is as inclined as the first plane."""
+    """Cells and the plane through them, twice: the second time along the first plane."""
     (disparity, vertical, score, gain), (mask, rim, blur) = start, where
     left, right = pair.grey(0)
     corner = (region.bbox[0] - rim, region.bbox[1] - rim)

@@ -1,6 +1,6 @@
-"""Vertical residual v_l - v_r of matched regions, or edges: a wrong calibration, or shutters out of sync.
+"""Vertical residual v_l - v_r of matched regions or edges: wrong calibration, unsynchronised shutters.
 
-A calibration that is wrong along the rows alone does not show here.
+Calibration errors along rows do not show.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ _CORNERS = 120
 
 @dataclass(frozen=True, slots=True)
 class Residual:
-    """Median of v_r - v_l [px], its standard deviation from the scatter, and of how many regions or corners."""
+    """Median of v_r - v_l [px], its standard deviation, number of regions or corners."""
 
     vertical_px: float
     sigma_px: float
@@ -39,9 +39,7 @@ def region_residual(matches: Sequence[Match | Unmatched]) -> Residual | None:
 def edge_residual(
     left: Image, right: Image, rig: StereoRig, nearest_m: float = 4.0, vertical_px: int = 8, corners: int = _CORNERS
 ) -> Residual | None:
-    """From the strongest corners of rectified grey images, within vertical_px of their row; None where fewer than eight match.
-    About 0.2 s.
-    """
+    """From strong corners within vertical_px of their row; None with fewer than eight matches."""
     positions = cv2.goodFeaturesToTrack(left, corners, 0.02, 2.0 * _WINDOW)
     if positions is None:
         return None
@@ -64,7 +62,7 @@ def edge_residual(
 
 
 def pair_reason(matches: Sequence[Match | Unmatched], residual: Residual | None) -> str | None:
-    """Why distances from the pair are invalid: swapped, or rows that do not fit; None if it is."""
+    """Why the pair's distances are invalid (swapped, rows differ), or None."""
     behind = sum(isinstance(m, Unmatched) and m.behind for m in matches)
     found = sum(isinstance(m, Match) for m in matches)
     misfit = residual is not None and abs(residual.vertical_px) > max(_LIMIT_PX, 3.0 * residual.sigma_px)
@@ -79,7 +77,7 @@ def pair_reason(matches: Sequence[Match | Unmatched], residual: Residual | None)
 
 
 def _median(found: Array) -> Residual:
-    """found (N, 2): residual, sigma. The sigma of the median is the larger of what the sigmas and the scatter say."""
+    """found (N, 2): residual, sigma; the larger sigma of claims and scatter."""
     order = np.argsort(found[:, 0])
     cumulated = np.cumsum(1.0 / found[order, 1] ** 2)
     median = float(found[order[int(np.searchsorted(cumulated, 0.5 * cumulated[-1]))], 0])

@@ -1,4 +1,4 @@
-"""A plane in disparity, fitted robustly: errors of disparities are alike near and far, those of depths are not.
+"""A plane in disparity, fitted robustly: disparity errors do not depend on depth.
 
 n . x_c = h,  d - offset = f b / Z    =>    d(u, v) = c + p (u - u0) + q (v - v0)          exactly affine
 """
@@ -31,7 +31,7 @@ class DisparityPlane:
 
 
 def fit_plane(points: Array, disparities: Array, sigmas: Array, slope: Array, slope_sigma: float) -> DisparityPlane | None:
-    """The plane through disparities (N,) with sigmas (N,) at pixels (N, 2) by Tukey's biweight; None without points.
+    """The plane through disparities (N,), sigmas (N,) at pixels (N, 2) by Tukey's biweight; None without points.
 
     slope (2,), slope_sigma: prior of (p, q) [px/px]. Factor on the sigmas: s^2 = (m + sum w r^2 / sigma^2) / (m + sum w - 3).
     """
@@ -46,7 +46,6 @@ def fit_plane(points: Array, disparities: Array, sigmas: Array, slope: Array, sl
 
 
 def _fit(uv: Array, d: Array, sigma: Array, slope: Array, slope_sigma: float) -> tuple[Array, Array, float, int]:
-    """Coefficients (3,), covariance (3, 3), scatter, and how many points count."""
     order = np.argsort(d, kind="stable")
     cumulated = np.cumsum((1.0 / sigma**2)[order])
     x = np.array([d[order[min(np.searchsorted(cumulated, 0.5 * cumulated[-1]), len(d) - 1)]], *slope])

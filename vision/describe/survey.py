@@ -1,4 +1,4 @@
-"""Regions of a pair in metres: check -> rectify -> median -> segment -> regions -> correspond -> measure."""
+"""Regions of a pair in metres: check, rectify, median, segment, regions, correspond, measure."""
 
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -40,7 +40,7 @@ class Settings:
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """left: the rectified left image, 8 bit. problem: why the distances are invalid, None if they are valid."""
+    """left: rectified left image, 8 bit; problem: why distances are invalid, or None."""
 
     left: Image
     measured: tuple[Measured, ...]
@@ -50,7 +50,7 @@ class Survey:
 
 
 def survey(left: Image, right: Image, rectification: Rectification, settings: Settings | None = None) -> Survey | str:
-    """What the pair shows, or why it cannot be used. left, right: as the cameras took them, uint8 or uint16, grey or BGR."""
+    """What the pair shows, or why it is unusable; left, right: raw, uint8 or uint16, grey or BGR."""
     settings = settings or Settings()
     for name, image in (("left", left), ("right", right)):
         if flaw := check.image_flaw(image):
@@ -77,7 +77,7 @@ def _measured(match: Match | Unmatched, rectification: Rectification, settings: 
 
 
 def segment_regions(image: Image, valid: Mask | None, settings: Settings) -> list[Region]:
-    """Regions of one rectified 8-bit image. One of one channel has no colours to search for: what is darker or brighter."""
+    """Regions of a rectified 8-bit image; by intensity where it has one channel."""
     image = grey(image) if settings.space == "grey" else image
     smooth = enhance.median(image, settings.median_window) if settings.median_window else image
     if image.ndim == 2:
@@ -90,7 +90,7 @@ def segment_regions(image: Image, valid: Mask | None, settings: Settings) -> lis
 
 
 def to_8_bit(image: Image) -> Image:
-    """16-bit images stretched over their range less 1 % at either end (thesis eq. 4.60); 8-bit ones as they are."""
+    """16-bit images stretched over their range less 1 % at either end (thesis eq. 4.60)."""
     return enhance.stretch(image, 0.01, 0.25) if image.dtype == np.uint16 else image
 
 

@@ -1,4 +1,4 @@
-"""The map's image: position by registration with an orthophoto and by features.
+"""Position by a georeferenced image: registration and features.
 
 Begin with `registration`. May import pose and what is below it.
 """

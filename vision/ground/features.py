@@ -1,8 +1,8 @@
-"""Position by features of a georeferenced image: SIFT, FLANN, and a pose that explains the matches.
+"""Position by features of a georeferenced image: SIFT and FLANN.
 
     keypoints of both images (Lowe 2004) -> nearest two descriptors, ratio test -> RANSAC (P3P) -> pose of inliers and prior
 
-The prior only says which part of the map to compare. It fails in another light or season.
+The prior selects the part of the map. Fails in another light or season.
 """
 
 import math
@@ -39,7 +39,7 @@ _GATE = 13.8  # chi-square of 2, 99.9 %
 
 
 class FeatureConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Lowe's ratio and RANSAC's distance are the usual ones; a fix takes more inliers than the usual 10."""
+    """Lowe's ratio, RANSAC's distance, and more inliers than the usual 10."""
 
     most: Annotated[int, Meta(ge=50, description="keypoints of a camera's image")] = 1500
     most_in_map: Annotated[int, Meta(ge=50, description="keypoints of the map's image")] = 60_000
@@ -75,7 +75,7 @@ class FeatureMap:
 
 
 def map_keypoints(levels: tuple[Image, ...], config: FeatureConfig | None = None) -> tuple[Array, Descriptors]:
-    """Pixels (N, 2) of level 0 and descriptors (N, 128) of a map's image, given as its pyramid."""
+    """Pixels (N, 2) of level 0 and descriptors (N, 128) of a map image's pyramid."""
     config = config or FeatureConfig()
     level = 0
     while level < len(levels) - 1 and max(levels[level].shape) > config.longest_map:
@@ -94,9 +94,7 @@ class NotRecognised:
 
 @dataclass(frozen=True, slots=True)
 class Matches:
-    """Pixels (N, 2) of the left camera and map points (N, 3) that match; sigma_px: of their position; inlier_px: RANSAC's
-    distance.
-    """
+    """Matching pixels (N, 2) of the left camera and map points (N, 3); sigma_px; inlier_px: RANSAC's distance."""
 
     px: Array
     x_n: Array
@@ -116,7 +114,7 @@ class Recognised:
 def recognise(
     rig: StereoRig, image: Image, prior: Prior, known: FeatureMap, config: FeatureConfig | None = None
 ) -> Recognised | NotRecognised:
-    """Where the left camera of the rig took the image. The same images give the same answer, to the bit."""
+    """Pose of the left camera; deterministic to the bit."""
     config = config or FeatureConfig()
     map_image = known.image
     camera = rig.left, *rig.camera_pose(prior.p_n, prior.R_nb)
@@ -143,7 +141,7 @@ def recognise(
 def pose_of_matches(
     rig: StereoRig, matches: Matches, prior: Prior, map_image: GroundImage, config: FeatureConfig
 ) -> Recognised | NotRecognised:
-    """The pose that explains the matches: P3P in RANSAC, then with the prior, whose scale, heading and tilt it must have."""
+    """The pose of the matches: RANSAC, then the prior, whose scale, heading and tilt it must have."""
     px, x_n, sigma_px = matches.px, matches.x_n, matches.sigma_px
     agree = _ransac(rig, px, x_n, matches.inlier_px)
     if len(agree) < _FEWEST:
@@ -163,7 +161,6 @@ def pose_of_matches(
 
 
 def _judged(fit: PointPose, points: Points, matched: int, rig: StereoRig, config: FeatureConfig) -> Recognised | NotRecognised:
-    """Enough of the matches, over enough of the image?"""
     inliers = int(fit.used.sum())
     hull = cv2.convexHull(points.px[fit.used].astype(np.float32))
     spread = float(cv2.contourArea(hull)) / (rig.left.width * rig.left.height)
@@ -173,7 +170,6 @@ def _judged(fit: PointPose, points: Points, matched: int, rig: StereoRig, config
 
 
 def _keypoints(image: Image, most: int) -> tuple[Array, Descriptors]:
-    """Pixels (N, 2) and descriptors (N, 128), the clearest first."""
     found, descriptors = cv2.SIFT.create(nfeatures=most).detectAndCompute(image, None)
     if not len(found):
         return np.empty((0, 2)), np.empty((0, 128), np.uint8)
@@ -181,7 +177,7 @@ def _keypoints(image: Image, most: int) -> tuple[Array, Descriptors]:
 
 
 def _of_large(image: Image, most: int) -> tuple[Array, Descriptors]:
-    """As _keypoints, in tiles: SIFT works on 200 bytes a pixel. A keypoint counts in the tile that it lies in."""
+    """_keypoints in tiles (SIFT needs 200 bytes a pixel); a keypoint counts in its own tile."""
     height, width = image.shape
     if max(height, width) <= _TILE_PX:
         return _keypoints(image, most)
@@ -202,7 +198,7 @@ def _of_large(image: Image, most: int) -> tuple[Array, Descriptors]:
 
 
 def _matches(mine: Descriptors, theirs: Descriptors, ratio: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows of both whose descriptors are nearest, by far; each of theirs with the nearest of mine only."""
+    """Rows of distinct nearest descriptors in both, one to one."""
     cv2.setRNGSeed(0)  # the trees are random: a replay grows the same ones
     pairs = cv2.FlannBasedMatcher(_TREES, _CHECKS).knnMatch(mine.astype(np.float32), theirs.astype(np.float32), k=2)
     best: dict[int, cv2.DMatch] = {}
@@ -216,7 +212,6 @@ def _matches(mine: Descriptors, theirs: Descriptors, ratio: float) -> tuple[NDAr
 
 
 def _ransac(rig: StereoRig, px: Array, x_n: Array, inlier_px: float) -> NDArray[np.intp]:
-    """Rows of the matches that most agree on one pose of the camera."""
     plane, middle, f = rig.left.undistort(px), x_n.mean(axis=0), 0.5 * (rig.left.fx + rig.left.fy)
     try:
         done, _, _, rows = cv2.solvePnPRansac(
@@ -229,7 +224,7 @@ def _ransac(rig: StereoRig, px: Array, x_n: Array, inlier_px: float) -> NDArray[
 
 
 def _position(rig: StereoRig, R_nb: Array, px: Array, x_n: Array) -> Array:
-    """p_n of the body at a known attitude, without the mirrored pose of a plane: sum (I - r r^T)(x - p_nc) = 0, r the rays."""
+    """p_n at a known attitude, without a plane's mirrored pose: sum (I - r r^T)(x - p_nc) = 0, r the rays."""
     rays = rig.left.ray(px) @ (R_nb @ rig.R_bc).T
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
     p_nc = np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, x_n))
@@ -240,7 +235,7 @@ def _position(rig: StereoRig, R_nb: Array, px: Array, x_n: Array) -> Array:
 def _distances(
     rig: StereoRig, pose: tuple[Array, Array], px: Array, x_n: Array, sigma_px: float, map_image: GroundImage
 ) -> Array:
-    """Squared Mahalanobis distance (N,) of the matches from a pose; inf behind the camera and beside it."""
+    """Squared Mahalanobis distance (N,) of matches from a pose; inf behind or beside the camera."""
     p_nc, R_nc = rig.camera_pose(*pose)
     off = px - rig.left.project((x_n - p_nc) @ R_nc)
     seen = np.isfinite(off).all(axis=1) & _far_enough(rig, pose, x_n, map_image)
@@ -251,7 +246,7 @@ def _distances(
 
 
 def _far_enough(rig: StereoRig, pose: tuple[Array, Array], x_n: Array, map_image: GroundImage) -> NDArray[np.bool_]:
-    """Which points (N,) are deeper than what stands on the ground is high: nearer, its lean is not linear in its height."""
+    """Points (N,) deeper than the relief is high; nearer ones lean nonlinearly."""
     p_nc, R_nc = rig.camera_pose(*pose)
     far: NDArray[np.bool_] = (x_n - p_nc) @ R_nc[:, 2] > map_image.heights.unevenness_m
     return far

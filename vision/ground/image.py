@@ -22,9 +22,9 @@ _LEAST_LEVEL_PX = 32  # of a pyramid's coarsest image
 
 @dataclass(frozen=True, eq=False)
 class Heights:
-    """down (h, w) [m] at the points of a raster, (north, east) = affine (u, v, 1), extended beyond its border.
+    """down (h, w) [m] on a raster, (north, east) = affine (u, v, 1), extended beyond its border.
 
-    unevenness_m: of roofs and trees on it; slope [rad]: of the ground, where the raster does not show it.
+    unevenness_m: roofs and trees; slope [rad]: of the ground where unknown.
     """
 
     down: Array
@@ -51,9 +51,9 @@ class Heights:
 
 @dataclass(frozen=True, eq=False)
 class GroundImage:
-    """image (H, W[, 3]), affine (2, 3), heights; sigma_m: of its position, per axis, height_sigma_m: of the ground's height.
+    """image (H, W[, 3]), affine (2, 3), heights; sigma_m: position per axis, height_sigma_m: ground height.
 
-    Raises ValueError where the affine has no inverse.
+    Raises ValueError for a singular affine.
     """
 
     name: str
@@ -74,9 +74,9 @@ class GroundImage:
 
     @property
     def shared_sigma(self) -> tuple[float, float, float]:
-        """Sigmas common to all its points: horizontal, height [m], slope of the ground.
+        """Common sigmas of its points: horizontal, height [m], ground slope.
 
-        For a share p of the edges at height h the unevenness is h sqrt(p (1 - p)), and the mean height sqrt(p / (1 - p)) of it.
+        With a share p of edges at height h: unevenness h sqrt(p (1 - p)), mean height sqrt(p / (1 - p)) of it.
         """
         mean = math.sqrt(_STANDING / (1.0 - _STANDING)) * self.heights.unevenness_m
         return self.sigma_m, math.hypot(self.height_sigma_m, mean), self.heights.slope
@@ -108,7 +108,7 @@ def to_pixels(affine: Array, position_n: Array) -> Array:
 
 
 def pyramid(image: Image) -> tuple[Image, ...]:
-    """An image in grey, 8 bit, halved repeatedly: pixel (u, v) of level k is (u, v) 2^k of level 0."""
+    """A grey 8-bit image halved repeatedly: pixel (u, v) of level k is (u, v) 2^k of level 0."""
     levels = [grey(to_8_bit(image))]
     while min(levels[-1].shape) >= 2 * _LEAST_LEVEL_PX:
         levels.append(cv2.pyrDown(levels[-1]).astype(np.uint8))
@@ -116,7 +116,7 @@ def pyramid(image: Image) -> tuple[Image, ...]:
 
 
 def sample(levels: tuple[Image, ...], px: Array, ratio: float) -> Float:
-    """Grey values at px (h, w, 2) of level 0, neighbours `ratio` pixels apart, without aliasing; beyond the border its values."""
+    """Grey values at px (h, w, 2) of level 0, `ratio` pixels apart, anti-aliased, border extended."""
     level = int(np.clip(np.floor(np.log2(max(ratio, 1.0))), 0, len(levels) - 1))
     image = levels[level]
     height, width = image.shape

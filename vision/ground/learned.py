@@ -1,7 +1,7 @@
-"""Position by learned features of the map's image: XFeat and LighterGlue as ONNX files, one thread, deterministic.
+"""Position by learned features: XFeat and LighterGlue as ONNX files, one thread, deterministic.
 
-map's image, projected over its heights to what the prior sees -> keypoints of both (Potje et al. 2024) -> matches
-(LightGlue, Lindenberger et al. 2023) -> RANSAC and pose as in features.py, with scale, heading and tilt by the prior
+map's image, projected over its heights to what the prior sees -> keypoints of both (Potje et al. 2024) -> matches (LightGlue,
+Lindenberger et al. 2023) -> RANSAC and pose as in features.py, with scale, heading and tilt by the prior
 """
 
 import hashlib
@@ -37,7 +37,7 @@ class ModelError(ValueError):
 
 
 class Model(NamedTuple):
-    """An ONNX file: its name, content, and the SHA-256 that it should have; an empty one is not compared."""
+    """An ONNX file: name, content, expected SHA-256 (empty: unchecked)."""
 
     name: str
     content: bytes
@@ -45,7 +45,7 @@ class Model(NamedTuple):
 
 
 class Learned:
-    """Both models. Raises ModelError where one is not the one that is meant or cannot be used."""
+    """Both models. Raises ModelError for a wrong or unusable one."""
 
     def __init__(self, extractor: Model, matcher: Model) -> None:
         self._extractor = _session(extractor, {"images"}, 3)
@@ -68,7 +68,6 @@ class Learned:
 
 
 def _session(model: Model, inputs: set[str], outputs: int) -> Any:
-    """A model of one thread."""
     name, content, sha256 = model
     found = hashlib.sha256(content).hexdigest()
     if sha256 and found != sha256.lower():
@@ -134,7 +133,7 @@ def recognise_learned(
 
 
 def _to_camera(rig: StereoRig, px: Array) -> Array:
-    """Pixels (N, 2) of the extractor's upright input -> pixels of the camera, turned by a quarter if its image is wide."""
+    """Pixels (N, 2) of the extractor's upright input -> camera pixels, turned where its image is wide."""
     width, height = rig.left.width, rig.left.height
     x, y = (px[:, 0] + 0.5) / _COLUMNS, (px[:, 1] + 0.5) / _ROWS
     u, v = (y, 1.0 - x) if width > height else (x, y)
@@ -150,7 +149,7 @@ def _widened(rig: StereoRig, px: Array, wide: float) -> Array:
 
 
 def _on_ground(rays: Array, pose: tuple[Array, Array], map_image: GroundImage) -> tuple[Array, Mask]:
-    """Points (N, 3) of the ground on rays (N, 3) of the camera, by its heights, and which (N,) are there."""
+    """Ground points (N, 3) on camera rays (N, 3), and which (N,) exist."""
     p_nc, R_nc = pose
     d = rays @ R_nc.T
     good: Mask = d[:, 2] > _STEEPEST * np.linalg.norm(d, axis=1)

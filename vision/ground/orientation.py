@@ -1,10 +1,9 @@
-"""Whether edges lie the same way: a second kind of evidence for a position that was found by where the edges are.
+"""Agreement of edge directions: independent evidence for a position found by edge positions.
 
     o = s (cos 2 theta, sin 2 theta),   rho(d) = sum o_t o_i(d) / sqrt(sum o_t^2 sum o_i(d)^2),   o less its mean
 
-s: structure, theta: direction of the gradient; twice the angle, as an edge may be bright on either side. Where structures
-coincide by chance their directions do not: rho is 0 in the mean. A direction that all edges have in common, of streets or of an
-oblique view, is no evidence: the mean is taken off.
+s, theta: structure and direction of the gradient; twice the angle: either side may be bright. By chance rho is 0; the subtracted
+mean removes a common direction (streets).
 """
 
 import cv2

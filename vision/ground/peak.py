@@ -1,20 +1,14 @@
-"""Position by the peak of registration's search alone, where its blocks do not agree: north and east of what is seen.
+"""Position by the peak of registration's search alone, where blocks do not agree.
 
-Images of another date have few blocks that fit, but one position where the whole fits best. The middle of the camera's view, at
-a pixel known by the prior, is the point of the map at the peak. Of each image, and common to all (it counts as the map's error):
+The point seen at the middle of the view, by the prior, is the map's point at the peak. Covariance of an image, and common to all:
 
     C = (1 - rho^2) / rho  K^-1  c  +  (f q)^2 I,   K = -d^2 rho / d(north, east)^2
     s = m unevenness (1 - rho)^4
 
-s: edges that are not where the map has them, of shadows and of what leans over, move the peak, the more the less is explained.
-Where the sun has gone from one side to the other, the edge of a shadow is as far off as the shadow is long, h / tan(elevation),
-and its object's edge is not off: at worst the peak is half-way. m = 1 / (2 tan 15 deg): a lower sun lights little.
-Every search has a peak: it must be high over the second one, over zero, and over the scatter at all other positions. Some ten
-thousand positions, headings and heights are tried. If their correlations were Gaussian, the best one would be 5 standard
-deviations high by chance in 0.3 % of all searches, 5.5 in 0.02 %; of M independent positions the best is r times the second with
-a probability of about M^(-2 (r - 1)), for 1.6 and some thousand below 0.01 %. A lower peak needs another evidence: edges that
-lie the same way there (orientation.py), or what recognisers.py knows. Where the best positions are one line (ridge.py), n of
-its C is given by their scatter across, nothing is known along it, and the same evidence is needed.
+s: shadows and leaning objects; a turned shadow moves the peak half its length at worst, m = 1 / (2 tan 15 deg). The peak must
+exceed the second one, zero, and the scatter of all positions: of about 10,000 Gaussian correlations the best exceeds 5 sigma by
+chance in 0.3 % of searches; of M positions the best is r times the second with probability M^(-2 (r - 1)). A lower peak, or a
+line of peaks (ridge.py, measured across only), needs other evidence (orientation.py, recognisers.py).
 """
 
 import math
@@ -37,7 +31,7 @@ _POINT = PointConfig(least=1, freedom=1e3, expected=1.0)  # one point is not use
 
 
 class PeakConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """When a peak counts, when it makes a fix by itself (alone_), and c, f, m of its covariance."""
+    """When a peak counts, when alone (alone_), and c, f, m of its covariance."""
 
     ratio: Annotated[float, Meta(ge=1, description="height of the peak over that of the second")] = 1.25
     correlation: Annotated[float, Meta(ge=0, le=1, description="at the peak")] = 0.2
@@ -85,7 +79,7 @@ def edges_agree(peak: Peak, config: PeakConfig) -> bool:
 def fit_peak(
     rig: StereoRig, prior: Prior, map_image: GroundImage, peak: Peak, config: PeakConfig | None = None
 ) -> PoseEstimate | str:
-    """The pose by the prior and the position of the peak, or why there is none; measured along two directions only."""
+    """Pose by the prior and the peak, or why there is none; two directions measured."""
     config = config or PeakConfig()
     if flaw := peak_flaw(peak, config):
         return flaw
@@ -98,7 +92,7 @@ def fit_peak(
 def fit_ridge(
     rig: StereoRig, prior: Prior, map_image: GroundImage, peak: Peak, config: PeakConfig | None = None
 ) -> PoseEstimate | str:
-    """The pose by the prior and the line of the search's best positions, or why there is none; measured across the line only."""
+    """Pose by the prior and the line of best positions, or why there is none; measured across only."""
     config = config or PeakConfig()
     ridge = peak.ridge
     if ridge is None:
@@ -120,7 +114,7 @@ def _moved(peak: Peak, map_image: GroundImage, config: PeakConfig) -> float:
 def _fit(
     rig: StereoRig, prior: Prior, map_image: GroundImage, found: tuple[Array, Array, Array], moved_m: float
 ) -> PoseEstimate | str:
-    """found: ground that the prior has at a pixel, the map's position of it, its covariance (2, 2); moved_m: common to all."""
+    """found: ground at a pixel by the prior, its map position, covariance (2, 2); moved_m: common error."""
     seen_n, shown_n, C = found
     p_nc, R_nc = rig.camera_pose(prior.p_n, prior.R_nb)
     x_c = ((seen_n - p_nc) @ R_nc)[None]

@@ -1,4 +1,4 @@
-"""Position by laying the camera's image onto a satellite image or an orthophoto, with the filter's prior.
+"""Position by registration of the camera's image with an orthophoto, near the prior.
 
 coarse   the position, heading and height within the prior where the whole is most like the map (search.py)
 blocks   from there its blocks are shifted singly, to a fraction of a pixel, twice, then finer: each is a point of the map
@@ -40,10 +40,7 @@ _POINTS = PointConfig(least=6, freedom=4.0, expected=1.0)
 
 @dataclass(frozen=True, slots=True)
 class Registered:
-    """A pose with the evidence for it.
-
-    tried, agreed: blocks; chance: probability of that by chance; peak: of the search.
-    """
+    """A pose with its evidence: blocks tried and agreed, chance of that, peak of the search."""
 
     pose: PoseEstimate
     tried: int
@@ -62,7 +59,7 @@ class Registered:
         return self.peak.correlation
 
     def is_moving(self, config: RegistrationConfig) -> bool:
-        """Whether it is no chance, and so many blocks are still off that another turn may bring them in."""
+        """Significant, and many blocks are still off: another iteration may help."""
         return self.chance < config.likely and self.agreed < _SETTLED * self.tried
 
     def is_sure(self, config: RegistrationConfig) -> bool:
@@ -76,7 +73,7 @@ class Registered:
 
 @dataclass(frozen=True, slots=True)
 class _Matched:
-    """Points of the map with their pixels, how many blocks were tried, the grid's step [m], and the camera's pixels to it."""
+    """Map points with pixels, blocks tried, grid step [m], and camera pixels per step."""
 
     points: Points
     tried: int
@@ -91,7 +88,7 @@ class _Matched:
 def register(
     rig: StereoRig, image: Image, prior: Prior, map_image: GroundImage, config: RegistrationConfig | None = None
 ) -> Registered | NotRegistered:
-    """Where the left camera of the rig took the image. The result is likely or sure by its own is_likely, is_sure."""
+    """Pose of the left camera; the result is likely or sure by is_likely, is_sure."""
     config = config or RegistrationConfig()
     levels = pyramid(image)
     position = search(rig, levels, prior, map_image, config)
@@ -118,7 +115,6 @@ def _laid(
     rig: StereoRig, levels: tuple[Image, ...], start: tuple[tuple[Array, Array], Prior], map_image: GroundImage, position: Peak,
     sizes: tuple[int, int, int],
 ) -> Registered | NotRegistered:  # fmt: skip
-    """The pose that the blocks agree on, shifted from a start; sizes: as of _blocks."""
     pose, prior = start
     matched = _blocks(rig, levels, pose, map_image, sizes)
     tried = matched.tried
@@ -137,7 +133,7 @@ def _laid(
 def _blocks(
     rig: StereoRig, levels: tuple[Image, ...], pose: tuple[Array, Array], map_image: GroundImage, sizes: tuple[int, int, int]
 ) -> _Matched:
-    """Blocks of the image, each shifted over the map; sizes: points along the image, of the search, to a block's side."""
+    """Image blocks, each shifted over the map; sizes: grid points along the search and a block."""
     most, reach, side = sizes
     camera: Camera = (rig.left, *rig.camera_pose(*pose))
     grid = make_grid(camera, map_image, most)
@@ -159,7 +155,7 @@ def _blocks(
 
 
 def _peak(image: Float, block: Float) -> tuple[Array, Array] | None:
-    """Where a block fits best (column, row), to a fraction of a pixel, covariance (2, 2); None where there is no single one."""
+    """Best fit (column, row) of a block, sub-pixel, covariance (2, 2); None without a single one."""
     rho = cv2.matchTemplate(image, block, cv2.TM_CCOEFF_NORMED)
     i, j = np.unravel_index(int(np.argmax(rho)), rho.shape)
     best = float(rho[i, j])
@@ -176,9 +172,9 @@ def _peak(image: Float, block: Float) -> tuple[Array, Array] | None:
 def _as_points(
     camera: Camera, grid: Grid, map_image: GroundImage, found: list[tuple[tuple[float, float], Array, Array]]
 ) -> Points:
-    """Blocks: their middles in the grid, shifts and covariances -> points of the map and pixels of the camera.
+    """Blocks in the grid to map points and camera pixels.
 
-    R = J C J^T + (unevenness du/dd)^2: what stands on the ground leans over.
+    R = J C J^T + (unevenness du/dd)^2: objects lean over.
     """
     (model, p_nc, R_nc), (at, shift, covariance) = camera, map(np.array, zip(*found, strict=True))
     x_c = (map_image.points(grid.position(at)) - p_nc) @ R_nc

@@ -1,10 +1,9 @@
-"""A river, road or tree belt: the search's scores stand out along one line, so that the position is known across it alone.
+"""A river, road or tree belt: best scores along one line, position known across it only.
 
     rivals = {d: score(d) > usual + (best - usual) / ratio},   n = least eigenvector of their covariance, weights score - level
 
-They are one line if none is farther from it than a peak is wide, if they are longer than that, and if all of its width was
-searched. n mean(rivals) is measured, with their scatter across: the line need not be straight, nor one point wide. It holds
-where the evidence is, the weighted mean of what correlates: beside it an error of heading or height would move it.
+One line: none farther off than a peak's width, longer than that, its width searched. n mean(rivals) is measured with the scatter
+across, valid at the weighted mean of the evidence: elsewhere heading or height errors move it.
 """
 
 from dataclasses import dataclass
@@ -20,9 +19,9 @@ LOBE_PX = 6.0  # from a peak: another position begins there
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """In points of the search: normal (2,) column, row; offset: of the line from the best position, along it; sigma: across.
+    """In search points: normal (2,) column, row; offset: from the best position; sigma: across.
 
-    ratio, deviations: as a Peak's, second and scatter of the positions beside the line.
+    ratio, deviations: as a Peak's, beside the line.
     """
 
     normal: Array
@@ -34,8 +33,8 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Ridge:
-    """On the ground. normal_n (2,): the measured direction; seen_n (3,): where by the prior lies what correlates; shown_n (2,): a
-    point of the line where by the map it lies; sigma_m: across; ratio, deviations: as a Peak's, beside the line.
+    """On the ground: normal_n (2,) measured direction; seen_n (3,): evidence by the prior; shown_n (2,): its line point by the
+    map; sigma_m: across; ratio, deviations: beside the line.
     """
 
     normal_n: Array
@@ -47,9 +46,9 @@ class Ridge:
 
 
 def find_line(scores: Float, inside: Mask, extent: Array, ratio: float) -> Line | None:
-    """The line on which all positions with more than 1 / ratio of the peak's height lie; None where there is none.
+    """The line of all positions above 1 / ratio of the peak, or None.
 
-    scores (turns, rows, columns), -1 where not searched; extent (2, 2): d^T extent^-1 d <= 1 was searched about the middle.
+    scores (turns, rows, columns), -1 where not searched; extent (2, 2): d^T extent^-1 d <= 1 was searched.
     """
     k, i, j = np.unravel_index(int(np.argmax(scores)), scores.shape)
     highest, best = scores.max(axis=0), float(scores[k, i, j])
@@ -76,7 +75,7 @@ def find_line(scores: Float, inside: Mask, extent: Array, ratio: float) -> Line 
 
 
 def where_evidence_is(template: Float, image: Float, mask: Float) -> Array:
-    """Column, row: mean of the template's points under the mask, weighted by what they add to the correlation."""
+    """Column, row: masked template points weighted by their share of the correlation."""
     seen = mask > 0.0
     product = np.where(seen, (template - template[seen].mean()) * (image - image[seen].mean()), 0.0).clip(0.0)
     rows, columns = np.indices(template.shape)

@@ -1,10 +1,9 @@
-"""Where the structure of a camera's image is most like the map's: one position, heading and height within the prior.
+"""Search for the camera image's structure on the map, within the prior: position, heading, height.
 
     the camera's image as seen from straight above, by the prior's attitude and height, is shifted over the map within
     reach_sigma of the prior's covariance, turned and stretched as far as that leaves heading and height open
 
-What is compared is Sobel's magnitude (thesis eq. 4.62-4.64) by the normalised correlation coefficient (eq. 4.80): edges stay
-where brightness and colours change with season and light.
+Sobel magnitudes (thesis eq. 4.62-4.64) are compared by correlation (eq. 4.80), robust to season and light.
 """
 
 import math
@@ -76,7 +75,7 @@ class Peak:
 
 @dataclass(frozen=True, slots=True)
 class NotRegistered:
-    """Why not: no_ground | outside | prior_too_wide | no_structure | not_found | no_pose; peak: of the search, if it had one."""
+    """no_ground | outside | prior_too_wide | no_structure | not_found | no_pose; peak: if any."""
 
     reason: str
     detail: str = ""
@@ -84,14 +83,14 @@ class NotRegistered:
 
 
 def structure(view: Float) -> Float:
-    """What is compared: Sobel's magnitude over its mean around, and of that the root: no shadow's edge counts for a block."""
+    """Root of Sobel's magnitude over its local mean."""
     magnitude = sobel(cv2.GaussianBlur(view, (0, 0), BLUR_PX))
     even: Float = np.sqrt(magnitude / (cv2.blur(magnitude, (_AROUND_PX, _AROUND_PX)) + np.float32(_FAINT)))
     return even
 
 
 def shift_of_ground(arm_n: Array) -> Array:
-    """dg = J (dp, dtheta), J (2, 6): how a ray's ground point moves with the pose; arm_n (3,): from the body to that point.
+    """dg = J (dp, dtheta), J (2, 6): motion of a ray's ground point; arm_n (3,): body to point.
 
     dg = dp + dtheta x r - r (dp + dtheta x r)_d / r_d
     """
@@ -140,7 +139,7 @@ def search(
 
 @dataclass(frozen=True, slots=True)
 class _Searched:
-    """scores (turns, 2 reach + 1, 2 reach + 1): coefficient of each shift, -1 where it is not inside, d^T extent^-1 d > 1."""
+    """scores (turns, 2 reach + 1, 2 reach + 1), -1 outside d^T extent^-1 d <= 1."""
 
     scores: Float
     inside: Mask
@@ -156,7 +155,7 @@ class _Searched:
 
 
 def _turns(grid: Grid, prior: Prior, height: float, reach_sigma: float) -> tuple[float, list[int]]:
-    """Step of heading [rad] and scale, so that the patch's ends move by a few points, and how many the prior leaves each way."""
+    """Step of heading [rad] and scale (a few points at the patch's ends), and number each way."""
     step = 2.0 * _STEP_PX / (0.5 * max(grid.shape))
     sigmas = math.sqrt(float(prior.covariance[5, 5])), math.sqrt(float(prior.covariance[2, 2])) / height
     return step, [math.ceil(max(reach_sigma * sigma - 0.5 * step, 0.0) / step) for sigma in sigmas]
@@ -170,7 +169,6 @@ def _ellipse(extent: Array, reach: int) -> Mask:
 
 
 def _correlation(image: Float, template: Float, mask: Float) -> Float:
-    """Coefficient (eq. 4.80) of the template's pixels under the mask with the image, at each shift."""
     count = float(mask.sum())
     t = mask * (template - float((mask * template).sum()) / count)
     product = cv2.matchTemplate(image, t, cv2.TM_CCORR)
@@ -183,9 +181,9 @@ def _correlation(image: Float, template: Float, mask: Float) -> Float:
 def _with_evidence(
     peak: Peak, searched: _Searched, seen: tuple[Float, Float, Float], map_image: GroundImage, ratio: float
 ) -> Peak:
-    """The peak, whether edges lie the same way there, and the line that the best positions lie on, if they do.
+    """The peak with edge directions, and the line of best positions, if any.
 
-    seen: the camera's view, its structure, and where there is any.
+    seen: view, structure, mask.
     """
     (k, i, j), reach, grid = searched.best, len(searched.inside) // 2, searched.grid
     turned, (height, width) = grid.turned(*searched.turns[k]), grid.shape
@@ -203,7 +201,7 @@ def _with_evidence(
 
 
 def _stands_out(searched: _Searched, ground: Array, prior: Prior) -> Peak | NotRegistered:
-    """The best of all positions and turns, and how far it stands out of the rest: (rho_1 - median) / (rho_2 - median)."""
+    """Best position and how it stands out: (rho_1 - median) / (rho_2 - median)."""
     scores, inside, grid, (k, i, j) = searched.scores, searched.inside, searched.grid, searched.best
     best, reach = float(scores[k, i, j]), len(inside) // 2
     if not best > 0.0:
@@ -235,12 +233,11 @@ def _stands_out(searched: _Searched, ground: Array, prior: Prior) -> Peak | NotR
 
 
 def _surrounded(inside: Mask, i: int, j: int) -> bool:
-    """Whether a position and its eight neighbours were searched."""
     return 0 < i < len(inside) - 1 and 0 < j < inside.shape[1] - 1 and bool(inside[i - 1 : i + 2, j - 1 : j + 2].all())
 
 
 def curvature_at(rho: Float, i: int, j: int) -> tuple[Array, Array] | None:
-    """K = -d^2 rho / d(column, row)^2 (2, 2) at a summit, and the step (2,) to the parabola's top; None where there is none."""
+    """K = -d^2 rho / d(column, row)^2 (2, 2) at a summit, and step (2,) to the parabola's top; None without."""
     n = rho[i - 1 : i + 2, j - 1 : j + 2].astype(np.float64)
     slope = 0.5 * np.array([n[1, 2] - n[1, 0], n[2, 1] - n[0, 1]])
     twist = 0.25 * (n[2, 2] + n[0, 0] - n[0, 2] - n[2, 0])

@@ -1,4 +1,4 @@
-"""The ground from straight above on a grid, as the camera sees it and as the map's image shows it.
+"""The ground from straight above on a grid, seen by the camera and by the map's image.
 
 position(i, j) = centre + q E ((j, i) - middle),   E = (e_1, e_2): along the camera's rows on the ground, and across
 """
@@ -51,7 +51,7 @@ class Grid:
 
 
 def make_grid(camera: Camera, map_image: GroundImage, most: int, finest_m: float = 0.0) -> Grid | None:
-    """A grid over the camera's view of the ground, at most `most` points long, no finer than the pixels; None: sky."""
+    """A grid over the camera's view, at most `most` points long, no finer than pixels; None: sky."""
     model, _, R_nc = camera
     positions = _footprint(camera, map_image)
     right = R_nc[:2, 0]
@@ -69,7 +69,6 @@ def make_grid(camera: Camera, map_image: GroundImage, most: int, finest_m: float
 
 
 def _footprint(camera: Camera, map_image: GroundImage) -> Array | None:
-    """Positions (N, 2) that a raster of the camera's pixels shows."""
     model, p_nc, R_nc = camera
     u, v = np.meshgrid(*(np.linspace(0.0, size - 1.0, n) for size, n in zip((model.width, model.height), _RASTER, strict=True)))
     rays = model.ray(np.column_stack((u.ravel(), v.ravel()))) @ R_nc.T
@@ -95,7 +94,7 @@ def camera_view(levels: tuple[Image, ...], camera: Camera, grid: Grid, map_image
 
 
 def map_view(map_image: GroundImage, grid: Grid, margin: int) -> tuple[Float, Mask]:
-    """Grey values of the georeferenced image, margin points larger on each side, and where there are any."""
+    """Grey values of the map's image on the grid plus margin, and where they exist."""
     positions = grid.positions(margin)
     flat = positions.reshape(-1, 2)
     values = sample(map_image.pyramid, map_image.to_pixels(flat).reshape(positions.shape), grid.q / map_image.pixel_m)

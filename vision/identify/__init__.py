@@ -1,4 +1,4 @@
-"""Which landmark a region is: likelihoods with everything that is uncertain, assignment, ambiguity, clutter.
+"""Which landmark a region is: likelihoods, assignment, ambiguity, clutter.
 
 Begin with `identify`. May import describe and image.
 """

@@ -30,7 +30,7 @@ _FEWEST_CORNERS, _OUT_OF_ROUND = 10, 0.05  # of a polygon that stands for a circ
 
 
 def round_landmarks(vertices: Array, offsets: NDArray[np.int64]) -> list[tuple[int, Array]]:
-    """Index and middle (2,) of the outlines, vertices (n, 2) from offsets (L + 1,) on, that stand for circles."""
+    """Index and middle (2,) of outlines that stand for circles; vertices (n, 2) by offsets (L + 1,)."""
     found = []
     for mark, (start, stop) in enumerate(pairwise(offsets.tolist())):
         if stop - start < _FEWEST_CORNERS:
@@ -56,8 +56,8 @@ def steps_off(
     p_n: Array, used: Sequence[Landmark], near: Sequence[Landmark], prior_p_n: Array, prior_covariance: Array, odds: float,
     share: float,
 ) -> Array:  # fmt: skip
-    """Steps (S, 3) from p_n to positions that the prior allows at less than `odds`, where more than a share of the landmarks
-    `used` have a similar one.
+    """Steps (S, 3) from p_n to positions of prior odds above `odds` where more than a share of landmarks `used` have a similar
+    one.
     """
     several, weights = _described(near), normalised(np.array([mark.weights for mark in near]))
     positions = np.array([(*mark.centre_n, mark.roof_d) for mark in near])
@@ -76,7 +76,6 @@ def steps_off(
 
 
 def _apart(steps: Array, least_m: float) -> Array:
-    """Those of steps (S, 3) that are so far from all that are kept before them."""
     kept = np.zeros((0, 3))
     for step in steps:
         if not (np.linalg.norm(kept - step, axis=1) < least_m).any():
@@ -85,7 +84,7 @@ def _apart(steps: Array, least_m: float) -> Array:
 
 
 def _as_turned(one: Landmark, other: Landmark) -> bool:
-    """Whether one lies as the other does; the sides of one that is hardly longer than wide may be exchanged."""
+    """Whether orientations agree; sides of a nearly square one may be exchanged."""
     half_turn = math.pi if one.length_m > _OBLONG * one.width_m else 0.5 * math.pi
     apart = (one.orientation_rad - other.orientation_rad + 0.5 * half_turn) % half_turn - 0.5 * half_turn
     return abs(apart) < _TURNED_RAD

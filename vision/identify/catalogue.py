@@ -1,4 +1,4 @@
-"""What identification compares: regions as sightings, landmarks as a catalogue, and the assumptions before an image is seen."""
+"""Data of identification: regions as sightings, landmarks as a catalogue, assumptions."""
 
 import math
 from dataclasses import dataclass, field
@@ -37,11 +37,11 @@ class Assumptions(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """A region as identification uses it; n at the prior's attitude.
+    """A region for identification; n at the prior's attitude.
 
-    arm_n (3,): body to region; moved_n (3,): body now to body then; depth_sigma: relative, its own; covariance_n (3, 3),
-    log_size_covariance (2, 2) of (log width, log length); orientation_rad: of the length, from north to east; now: in this image;
-    partial: cut off by the border: the arm is to where the centre would be, sizes are lower bounds, covariances of two sides.
+    arm_n (3,): body to region; moved_n (3,): body now to then; depth_sigma: relative; covariance_n (3, 3), log_size_covariance
+    (2, 2) of (log width, log length); orientation_rad: of the length, north to east; now: in this image; partial: cut off: arm to
+    the supposed centre, sizes are lower bounds.
     """
 
     arm_n: Array
@@ -65,9 +65,9 @@ class Sighting:
 class Catalogue:
     """Landmarks near the prior as arrays.
 
-    position_n (J, 3) of the roof's centre, variance_n (J, 3); features (J, 4): log width, log length, fill ratio, orientation;
-    description, weights (J, 4) of the similarity; chroma (J, 2), NaN unknown; density_per_m2; vertices (V, 2), offsets (J +
-    1,): the outlines.
+    position_n, variance_n (J, 3) of the roof's centre; features (J, 4): log width, log length, fill ratio, orientation;
+    description, weights (J, 4) of the similarity; chroma (J, 2), NaN unknown; density_per_m2; outlines: vertices (V, 2), offsets
+    (J + 1,).
     """
 
     ids: tuple[str, ...]
@@ -110,13 +110,12 @@ def catalogue(landmarks: list[Landmark]) -> Catalogue:
 
 
 def chroma(colour_bgr: Array) -> Array:
-    """(b, g) / (b + g + r) of colours (..., 3): what exposure does not change."""
+    """(b, g) / (b + g + r) of colours (..., 3), independent of exposure."""
     total = np.maximum(colour_bgr.sum(axis=-1, keepdims=True), 1.0)
     return np.asarray(colour_bgr[..., :2] / total)
 
 
 def _density(position: Array) -> float:
-    """Objects per m^2 around an object."""
     if len(position) < 2:
         return 0.0
     apart = np.hypot(*(position[:, None, :2] - position[None, :, :2]).transpose(2, 0, 1))

@@ -1,10 +1,9 @@
-"""Density of unmapped objects at a region's position, by turn t and log scale s of the image.
+"""Density of unmapped objects at a region's position, by image turn t and log scale s.
 
     f_i(h) = sum_ts w_ts f_i(t, s) / sum_ts w_ts,     w_ts = exp(-|(t, s) - (x_t, x_s)|^2_P / 2)
 
-x, P: errors common to all regions, of a hypothesis. The search uses the highest f_i, a hypothesis is judged by its own. f_i is
-the density at the displacement from the other regions; the first object may stand anywhere, so a hypothesis that names no
-landmark has
+x, P: a hypothesis' common errors. The search uses the highest f_i. f_i is relative to the other regions, so a hypothesis without
+landmarks has
 
     prod_i f_i  exp(-(1 / M) sum_i ln (f_i / f))
 """
@@ -21,9 +20,9 @@ _TURN, _SCALE = 5, 6  # of x
 
 @dataclass(frozen=True, slots=True)
 class ClutterDensity:
-    """log_density (M, T, S) of M regions at turns (T,) rad and log scales (S,), evenly spaced.
+    """log_density (M, T, S) of M regions at evenly spaced turns (T,) rad and log scales (S,).
 
-    log_above_mean (T, S): of their position above one anywhere, mean over the regions, at least 0.
+    log_above_mean (T, S): mean excess of position over anywhere, >= 0.
     """
 
     log_density: Array
@@ -37,8 +36,7 @@ class ClutterDensity:
         return np.asarray(self.log_density.max(axis=(1, 2)))
 
     def below_highest(self, absent: NDArray[np.bool_], x: Array, covariance: Array) -> Array:
-        """Log of f_i over its highest, summed over the absent regions of a hypothesis, with the first where all are absent
-        (H,), <= 0.
+        """Log of f_i over its highest, summed over absent regions, with the first where all are absent (H,).
 
         absent (H, M); x (H, 7), covariance (H, 7, 7).
         """

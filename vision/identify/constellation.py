@@ -2,7 +2,7 @@
 
     z = p_n(then) + r,   error of z = dp - [r]x dtheta + drift,   drift ~ N(0, P_now - P_then)
 
-Each object counts once, with its newest measurement; weights of hypotheses are not multiplied from image to image.
+Each object counts once, with its newest measurement; hypothesis weights are not carried over.
 """
 
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ _SURER = 0.8  # the prior's variance fell below this part: something was fused i
 
 
 class MemoryConfig(msgspec.Struct, frozen=True):
-    """memory_s: how long an open region waits; most: of them; same_m, same_size: within which two regions are one object."""
+    """memory_s: how long an open region waits; most: number; same_m, same_size: limits of one object."""
 
     memory_s: float = 5.0
     most: int = 12
@@ -47,7 +47,7 @@ class Constellation:
         self._held = []
 
     def recall(self, seen: list[Sighting], t_ns: int, prior: Prior) -> list[Sighting]:
-        """The regions remembered, as seen from the prior now; those that are in view again are left out."""
+        """Remembered regions as seen from the prior now, without those in view again."""
         variance = np.diag(prior.covariance)[:3]
         c = self._config
         self._held = [
@@ -59,7 +59,7 @@ class Constellation:
         return [r for r in remembered if not any(self._same(r, s) for s in seen)]
 
     def hold(self, seen: list[Sighting], remembered: list[Sighting], t_ns: int, prior: Prior) -> None:
-        """Keep what was just seen whole, and of what `recall` gave as much as there is room for."""
+        """Keep the regions seen whole, and recalled ones as far as there is room."""
         kept = [h for h in self._held if any(r.size_m2 == h.sighting.size_m2 for r in remembered)]
         variance = np.diag(prior.covariance)[:3].copy()
         new = [_Held(t_ns, np.asarray(prior.p_n, np.float64).copy(), s, variance) for s in seen if s.partial is None]

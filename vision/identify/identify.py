@@ -1,7 +1,6 @@
-"""The landmark of each region: candidates by the thesis' similarity, decision by the posterior of all regions together.
+"""Landmark of each region: candidates by the thesis' similarity, decision by the joint posterior.
 
-A region is identified when the probability of its identity, over all joint assignments, reaches `accept_posterior`; else it is
-open.
+Identified where the probability over all assignments reaches `accept_posterior`, else open.
 """
 
 from collections.abc import Sequence
@@ -36,12 +35,12 @@ class IdentifyConfig(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Identification:
-    """M regions, indices into the catalogue, NONE where it is none of the map.
+    """M regions; indices into the catalogue, NONE for none.
 
-    landmark, posterior: most probable identity and its probability; accepted: identified
-    best, similarity: most similar candidate and its eq. 5.5 (NONE, 0);  own_similarity: of `landmark`; candidates: their number
-    joint_posterior: all accepted identities are right;  position_posterior: at least one is, and none is another landmark (0:
-    none) x (7,), covariance (7, 7): error of the prior (position, attitude, log scale) if they are.
+    landmark, posterior: most probable identity; accepted: identified
+    best, similarity: most similar candidate and its eq. 5.5 (NONE, 0);  own_similarity: of `landmark`; candidates: number
+    joint_posterior: all accepted are right;  position_posterior: at least one is, none is another landmark
+    x (7,), covariance (7, 7): error of the prior (position, attitude, log scale) then.
     """
 
     landmark: NDArray[np.int64]
@@ -63,7 +62,7 @@ def identify(
 ) -> Identification:  # fmt: skip
     """Identify regions as landmarks near the prior.
 
-    scale_sigma: relative error of depth common to all regions. metric=False: one camera, arms end on the plane of the mean roof.
+    scale_sigma: relative depth error common to all regions; metric=False: one camera, arms end on the mean roof's plane.
     """
     config = config or IdentifyConfig()
     several = list(sightings)
@@ -95,13 +94,13 @@ def identify(
 
 
 def _roof_scale(sightings: list[Sighting], landmarks: Catalogue, prior: Prior) -> Array:
-    """By which an arm must grow to end on each landmark's roof, from the prior's height (M, J)."""
+    """Factor (M, J) by which an arm ends on each landmark's roof, at the prior's height."""
     down = np.array([max(s.arm_n[2], 1e-3) for s in sightings]).reshape(-1, 1)
     return np.asarray(np.maximum((landmarks.position_n[None, :, 2] - prior.p_n[2]) / down, 1e-3))
 
 
 def _from_height(prior: Prior, down: float) -> Array:
-    """One camera has its scale from the prior's height: s = -dp_d / down, in (7, 7)."""
+    """One camera's scale from the prior's height: s = -dp_d / down, in (7, 7)."""
     covariance = np.zeros((STATES, STATES))
     covariance[SCALE, :SCALE] = covariance[:SCALE, SCALE] = -prior.covariance[2] / down
     covariance[SCALE, SCALE] = prior.covariance[2, 2] / down**2
@@ -109,7 +108,7 @@ def _from_height(prior: Prior, down: float) -> Array:
 
 
 def _likeness(sightings: list[Sighting], landmarks: Catalogue, scale: Array, sigma: float) -> Array:
-    """Similarity of regions and landmarks (M, J) at the scale that suits each pair; of one cut off, that of the sides seen."""
+    """Similarity (M, J) at the best scale of each pair; of visible sides where cut off."""
     like = similarities(sightings, landmarks, _fitted(sightings, landmarks, scale, sigma))
     for i, sighting in enumerate(sightings):
         if sighting.partial is not None:
@@ -118,7 +117,7 @@ def _likeness(sightings: list[Sighting], landmarks: Catalogue, scale: Array, sig
 
 
 def _fitted(sightings: list[Sighting], landmarks: Catalogue, scale: Array, sigma: float) -> Array:
-    """Scale within 3 sigma at which the size agrees best (M, J): a short baseline hardly determines it, one camera does not."""
+    """Scale within 3 sigma at which sizes agree best (M, J)."""
     size = np.array([s.size_m2 for s in sightings]).reshape(-1, 1) * scale**2
     wanted = 0.5 * np.log(landmarks.description[None, :, 0] / size)
     return np.asarray(scale * np.exp(np.clip(wanted, -3.0 * sigma, 3.0 * sigma)))
@@ -146,7 +145,7 @@ def _expected(sightings: list[Sighting], landmarks: Catalogue, prior: Prior, rig
 
 
 def view_of(rig: StereoRig) -> Array:
-    """Limits left, right, top, bottom of x/z and y/z in the left camera's image (its inscribed rectangle)."""
+    """Limits left, right, top, bottom of x/z, y/z of the left image's inscribed rectangle."""
     c = rig.left
     u, v = np.linspace(0.0, c.width - 1.0, 9), np.linspace(0.0, c.height - 1.0, 9)
     edge = np.concatenate([
@@ -158,7 +157,6 @@ def view_of(rig: StereoRig) -> Array:
 
 
 def _marginals(landmark: NDArray[np.int64], probability: Array, count: int) -> tuple[NDArray[np.int64], Array]:
-    """The most probable identity of each region over all hypotheses (H, M), and its probability."""
     best, posterior = np.full(landmark.shape[1], NONE), np.zeros(landmark.shape[1])
     for i in range(landmark.shape[1]):
         mass = np.bincount(landmark[:, i] + 1, probability, count + 1)
@@ -170,9 +168,7 @@ def _marginals(landmark: NDArray[np.int64], probability: Array, count: int) -> t
 def _accept(
     landmark: NDArray[np.int64], found: Hypotheses, best: NDArray[np.int64], posterior: Array, threshold: float
 ) -> tuple[NDArray[np.bool_], float, NDArray[np.bool_]]:
-    """Regions identified, the probability that all are right, and the hypotheses (H,) with them; the least certain go until it
-    suffices.
-    """
+    """Identified regions, probability that all are right, their hypotheses (H,); the least certain go until it suffices."""
     accepted = (posterior >= threshold) & (best != NONE)
     while True:
         agree = np.all(landmark[:, accepted] == best[accepted], axis=1)
@@ -183,13 +179,12 @@ def _accept(
 
 
 def _position_posterior(landmark: NDArray[np.int64], probability: Array, accepted: NDArray[np.int64]) -> float:
-    """Probability of the hypotheses (H, A) that have one of the accepted identities (A,) and contradict none."""
+    """Probability of hypotheses (H, A) with an accepted identity (A,) and no contradiction."""
     same, contrary = landmark == accepted, (landmark != accepted) & (landmark != NONE)
     return float(probability[same.any(axis=1) & ~contrary.any(axis=1)].sum())
 
 
 def _moments(found: Hypotheses, agree: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Mean and covariance of the mixture of those hypotheses."""
     w = found.probability[agree] / found.probability[agree].sum()
     mean = w @ found.x[agree]
     e = found.x[agree] - mean

@@ -1,11 +1,8 @@
-"""The options of each region for vision/identify/assignment.py, and their likelihood.
-
-Landmark j shown by region i:
+"""Options of each region for assignment.py, and their likelihood. Landmark j shown by region i:
 
     l_j - (p + r_i) = dp - [r_i]x dtheta + r_i (exp(s) - 1) + e,   log w_j - log w_i = s + e,   psi_j - psi_i = dtheta_z + e
 
-r_i: arm from body to region at the prior, s: log scale of depth. Each landmark is an option twice, measured well and, rarely,
-badly (wide noise). Regions cut by the border: partial.py; no landmark: clutter.py.
+r_i: body to region at the prior, s: log scale of depth. Each landmark is an option twice: measured well, and rarely badly.
 """
 
 import math
@@ -24,7 +21,7 @@ _GATE = 30.0  # chi-square of 3: a position further off than this is not followe
 
 
 def similarities(sightings: list[Sighting], landmarks: Catalogue, scale: Array) -> Array:
-    """Eq. 5.5 for each region and landmark (M, J); scale (M, J): by which the region's lengths are to be multiplied."""
+    """Eq. 5.5 of each region and landmark (M, J); scale (M, J): factor on the region's lengths."""
     s = np.array([(r.size_m2, r.width_m, r.length_m, r.fill_ratio) for r in sightings]).reshape(-1, 1, 4)
     factor = np.stack([scale**2, scale, scale, np.ones_like(scale)], axis=-1)
     return similarity(s * factor, landmarks.description[None], landmarks.weights[None])
@@ -34,9 +31,9 @@ def options(
     sightings: list[Sighting], landmarks: Catalogue, p_n: Array, covariance: Array, candidate: NDArray[np.bool_], scale: Array,
     assumptions: Assumptions,
 ) -> Options:  # fmt: skip
-    """None of the map, and each possible candidate (M, J), measured well or badly.
+    """Not in the map, and each candidate (M, J), measured well or badly.
 
-    covariance (7, 7) of x at the prior; scale (M, J): factor on the region's lengths.
+    covariance (7, 7) of x; scale (M, J): factor on the region's lengths.
     """
     b = assumptions
     arm = np.array([r.arm_n for r in sightings]).reshape(-1, 3)
@@ -83,7 +80,7 @@ def options(
 
 
 class _Pairs(NamedTuple):
-    """N pairs of region and landmark: arm (N, 3); target, variance (N, 3) mapped; features, described (N, 4); known (N, 4)."""
+    """N pairs of region and landmark: arm (N, 3); target, variance (N, 3) mapped; features, described, known (N, 4)."""
 
     region: NDArray[np.int64]
     landmark: NDArray[np.int64]
@@ -100,7 +97,6 @@ _NO_PAIRS = _Pairs(_NONE, _NONE, _NONE_3, _NONE_3, _NONE_3, _NONE_4, _NONE_4, np
 
 
 def _pairs_of(i: int, r: Sighting, landmarks: Catalogue, candidate: NDArray[np.bool_], scale: Array) -> _Pairs:
-    """Region i beside each landmark that it may be."""
     part = r.partial
     if part is None:
         j = np.flatnonzero(candidate)
@@ -138,8 +134,8 @@ def _bad_noise(r: Sighting, b: Assumptions) -> list[float]:
 
 
 def _colour(region: Array, landmark: Array, b: Assumptions, sigma: float = 0.06, any_colour: float = 0.3) -> tuple[Array, Array]:
-    """Log density of a region's chroma as each landmark (M, J), and as none (M,): normal about the map's colour, or uniform
-    over the triangle of chromas (any_colour of the time); an unknown colour counts for nothing.
+    """Log density of a region's chroma as each landmark (M, J) and as none (M,): normal about the map's colour, or uniform
+    (any_colour of the time); 0 if unknown.
     """
     squared = ((region[:, None] - landmark[None]) ** 2).sum(axis=-1) / sigma**2
     density = (1.0 - any_colour) * np.exp(-0.5 * squared) / (2.0 * math.pi * sigma**2) + any_colour * 2.0
@@ -155,7 +151,7 @@ def _whitened(
     region: NDArray[np.int64], landmark: NDArray[np.int64], arm: Array, target: Array, variance: Array, features: Array,
     described: Array, known: NDArray[np.bool_],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_], Array, Array, Array]:  # fmt: skip
-    """Whitened rows and log density constant of every possible pair, well and badly measured."""
+    """Whitened rows and log density of every pair, well and badly measured."""
     y, A = _rows(p_n + moved[region], arm, features, target, described)
     N, unit = np.zeros((len(region), ROWS, ROWS)), np.eye(3)
     turn_variance = prior[3, 3] + prior[4, 4] + prior[5, 5]
@@ -179,14 +175,13 @@ def _whitened(
 
 
 def _say_nothing(row: int, y: Array, A: Array, N: Array, wide: Array) -> None:
-    """A row that was not measured, in place: zeros, of density one."""
     y[row], A[row], wide[row] = 0.0, 0.0, 0.0
     N[row], N[:, row] = 0.0, 0.0
     N[row, row] = 0.5 / math.pi
 
 
 def _whiten(N: Array, y: Array, A: Array) -> Array:
-    """y, A <- L^-1 y, L^-1 A with N = L L', in place; returns -1/2 log det(2 pi N). Of one pair or of as many as there are."""
+    """y, A <- L^-1 y, L^-1 A with N = L L', in place; returns -1/2 log det(2 pi N)."""
     low = np.linalg.cholesky(N)
     white = np.linalg.solve(low, np.concatenate((y[..., None], A), axis=-1))
     y[...], A[...] = white[..., 0], white[..., 1:]
@@ -195,12 +190,11 @@ def _whiten(N: Array, y: Array, A: Array) -> Array:
 
 
 def _outer(a: Array) -> Array:
-    """a a^T (N, K, K) of a (N, K)."""
     return a[:, :, None] * a[:, None, :]
 
 
 def _excluded(y: Array, A: Array, spread: Array, prior: Array, r: Array) -> NDArray[np.bool_]:
-    """Positions (N,) that the prior excludes; spread (N, 3, 3): of the measured position; the linear equation omits 1/2 s^2 r."""
+    """Positions (N,) that the prior excludes; spread (N, 3, 3): of the measured position."""
     linear = A[:, :, :STATES].copy()
     linear[:, :, SCALE] += A[:, :, GROWTH]
     whole = linear @ prior @ linear.transpose(0, 2, 1) + spread + 0.75 * prior[SCALE, SCALE] ** 2 * _outer(r)
@@ -209,7 +203,6 @@ def _excluded(y: Array, A: Array, spread: Array, prior: Array, r: Array) -> NDAr
 
 
 def _rows(p_n: Array, r: Array, features: Array, position: Array, described: Array) -> tuple[Array, Array]:
-    """y (N, 7) and A (N, 7, 8)."""
     y, A = np.empty((len(r), ROWS)), np.zeros((len(r), ROWS, COLUMNS))
     y[:, :POSITION] = described - features
     y[:, POSITION:] = position - p_n - r

@@ -1,4 +1,4 @@
-"""From measured regions to sightings: what identification needs, in n at the prior's attitude.
+"""Measured regions to sightings, in n at the prior's attitude.
 
 r = R_nb (R_bc x_c + p_bc)                                               (stereo: x_c is measured)
 r = lambda R_nb R_bc ray + R_nb p_bc,  lambda so that it ends on the plane of the roofs     (one camera)
@@ -36,7 +36,7 @@ def level(prior: Prior, rig: StereoRig) -> Level:
 
 
 def from_stereo(m: Measured, prior: Prior, rig: StereoRig) -> Sighting | None:
-    """A region with measured distance; rig: the rectified one; sizes are on the level plane at that distance."""
+    """A region with measured distance (rectified rig), sizes on the level plane there."""
     own = math.hypot(m.disparity_sigma_px, _UNEVEN * m.rig_sigma_px) / m.disparity_px
     return _on_level(m.region, prior, rig, float((prior.R_nb @ rig.R_bc @ m.centre_c)[2]), own)
 
@@ -54,7 +54,7 @@ def from_one_camera(region: Region, prior: Prior, rig: StereoRig, roof_d: float)
 def cut_off(
     sighting: Sighting, region: Region, seen: NDArray[np.bool_], prior: Prior, rig: StereoRig, landmarks: Catalogue
 ) -> Sighting | None:  # fmt: skip
-    """The sighting of a region whose corners are not all `seen`; None where they show too little of every landmark."""
+    """The sighting of a region not all of whose corners are `seen`; None where too little shows."""
     p_nc, R_nc = rig.camera_pose(prior.p_n, prior.R_nb)
     body = p_nc - prior.p_n
     points, order = _laid(region.outline, R_nc, rig, float(sighting.arm_n[2] - body[2]))
@@ -79,7 +79,7 @@ def cut_off(
 
 
 def _laid(outline: Array, R_nc: Array, rig: StereoRig, down_m: float) -> tuple[Array, slice]:
-    """An outline (K, 2) px on the level plane down_m below the camera: (K, 3) from there, anticlockwise from above; its order."""
+    """An outline (K, 2) px on the level plane down_m below the camera: (K, 3), anticlockwise from above; its order."""
     rays = rig.left.ray(outline) @ R_nc.T
     points = rays * (down_m / rays[:, 2])[:, None]
     order = slice(None, None, 1 if polygon.area(np.ascontiguousarray(points[:, :2])) > 0.0 else -1)
@@ -87,7 +87,7 @@ def _laid(outline: Array, R_nc: Array, rig: StereoRig, down_m: float) -> tuple[A
 
 
 def _on_level(region: Region, prior: Prior, rig: StereoRig, down_m: float, depth_sigma: float) -> Sighting | None:
-    """The region on the level plane down_m below rig.left; None where its rays do not meet that plane well."""
+    """The region on the level plane down_m below rig.left; None for rays too flat."""
     p_nc, R_nc = rig.camera_pose(prior.p_n, prior.R_nb)
     slant = (rig.left.ray(region.outline) @ R_nc.T)[:, 2]
     if not np.isfinite(slant).all() or slant.min() < _SHALLOW or down_m < 1.0:
@@ -117,7 +117,7 @@ def _on_level(region: Region, prior: Prior, rig: StereoRig, down_m: float, depth
 
 
 def _resolution(arm: Array, prior: Prior, rig: StereoRig) -> tuple[float, float]:
-    """Size of a pixel at the end of an arm from the camera [m], and the relative error of a length towards the camera."""
+    """Pixel size at an arm's end [m], and relative error of a length towards the camera."""
     distance = float(np.linalg.norm(arm))
     sine = float(arm[2]) / distance
     tilt = math.sqrt(max(prior.covariance[3, 3], prior.covariance[4, 4]) + ROOF_SLOPE_RAD**2)

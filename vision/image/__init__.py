@@ -1,4 +1,4 @@
-"""The camera's image before recognition: check, rectification, contrast, reduced copies. Begin with `rectify`.
+"""Images before recognition: check, rectification, contrast, reduction. Begin with `rectify`.
 
 May import models, nothing else of vision.
 """

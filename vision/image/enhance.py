@@ -12,20 +12,18 @@ _SAMPLE = 4  # every fourth pixel each way is enough for a percentile
 
 
 def median(image: Image, window: int = 5) -> Image:
-    """Each pixel the median of its window x window neighbours (thesis section 4.2.2.2): no salt and pepper, edges stay."""
+    """Median of window x window neighbours (thesis section 4.2.2.2)."""
     return cv2.medianBlur(image, window)
 
 
 def limits(image: Image, clip: float = 0.01) -> tuple[float, float]:
-    """c, d of the stretch: levels below and above which a part `clip` of the pixels lie, common to the channels (hue stays)."""
+    """c, d of the stretch: levels with a part `clip` of the pixels beyond, common to channels."""
     low, high = np.percentile(image[::_SAMPLE, ::_SAMPLE], (100.0 * clip, 100.0 * (1.0 - clip)))
     return float(low), float(high)
 
 
 def stretch(image: Image, clip: float = 0.01, margin: float = 0.0) -> NDArray[np.uint8]:
-    """s = (r - c) (b - a) / (d - c) + a, a = 0, b = 255 (thesis eq. 4.60); flat: middle grey; margin: room beyond c, d, of d -
-    c.
-    """
+    """s = (r - c) (b - a) / (d - c) + a, a = 0, b = 255 (thesis eq. 4.60); flat: middle grey; margin: beyond c, d, of d - c."""
     c, d = limits(image, clip)
     if d <= c:
         return np.full(image.shape, 128, dtype=np.uint8)
@@ -35,9 +33,7 @@ def stretch(image: Image, clip: float = 0.01, margin: float = 0.0) -> NDArray[np
 
 
 def stretch_blocks(image: Image, blocks: int = 4, clip: float = 0.01, min_range: float = 0.1) -> NDArray[np.uint8]:
-    """The same in blocks x blocks pieces with interpolated c and d (thesis section 4.2.1.4), at least `min_range` of the
-    image's range.
-    """
+    """Stretch in blocks x blocks pieces, c and d interpolated (thesis section 4.2.1.4), over at least `min_range`."""
     height, width = image.shape[:2]
     least = min_range * max(np.subtract(*limits(image, clip)[::-1]), 1.0)
     c, d = np.empty((blocks, blocks), np.float32), np.empty((blocks, blocks), np.float32)
@@ -53,9 +49,9 @@ def stretch_blocks(image: Image, blocks: int = 4, clip: float = 0.01, min_range:
 
 
 def unveil(image: NDArray[np.uint8], least: float = 0.72) -> NDArray[np.uint8]:
-    """r - dark, in each channel (Chavez 1988): the light that fog adds, (H, W, 3).
+    """r - dark in each channel, (H, W, 3): haze removal (Chavez 1988).
 
-    dark: nine tenths of the level of the darkest hundredth, where that is more than `least` of the median.
+    dark: 0.9 of the darkest hundredth's level, where above `least` of the median.
     """
     dark, middle = np.percentile(image[::_SAMPLE, ::_SAMPLE].reshape(-1, 3), (1.0, 50.0), axis=0)
     if dark.mean() < least * middle.mean():
@@ -64,13 +60,13 @@ def unveil(image: NDArray[np.uint8], least: float = 0.72) -> NDArray[np.uint8]:
 
 
 def gamma(image: Image, exponent: float) -> Image:
-    """s = c r^gamma with c = full^(1 - gamma), so that black stays black and white white (thesis eq. 4.59)."""
+    """s = c r^gamma, c = full^(1 - gamma) (thesis eq. 4.59)."""
     full = np.iinfo(image.dtype).max
     return _look_up(image, full * (np.arange(full + 1) / full) ** exponent, image.dtype)
 
 
 def logarithm(image: Image) -> Image:
-    """s = c log(1 + r) with c = full / log(1 + full): dark parts spread, bright ones compressed (thesis eq. 4.58)."""
+    """s = c log(1 + r), c = full / log(1 + full) (thesis eq. 4.58)."""
     full = np.iinfo(image.dtype).max
     return _look_up(image, full * np.log1p(np.arange(full + 1)) / np.log1p(full), image.dtype)
 
@@ -81,13 +77,11 @@ def negative(image: Image) -> Image:
 
 
 def _look_up(image: Image, levels: NDArray[Any], dtype: DTypeLike) -> NDArray[Any]:
-    """Every level replaced by levels[level], rounded."""
     table = np.rint(levels).astype(dtype)
     return np.asarray(cv2.LUT(np.asarray(image, dtype=np.uint8), table)) if image.dtype == np.uint8 else table[image]
 
 
 def _spread(blocks: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
-    """One value per block -> one per pixel, bilinear between the middles, constant outside."""
     rows, columns = blocks.shape
     u = ((np.arange(width) + 0.5) * columns / width - 0.5).astype(np.float32)
     v = ((np.arange(height) + 0.5) * rows / height - 0.5).astype(np.float32)

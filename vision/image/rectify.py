@@ -1,4 +1,4 @@
-"""Rectification: both cameras turned so that corresponding points share a row, lens distortion taken out, by maps made once.
+"""Rectification: corresponding points share a row, without distortion, by maps made once.
 
     x_c' = R_cc' ^T x_c,   x_r' = x_c' - (b, 0, 0)     (both cameras look the same way, side by side: R_rc = I)
 
@@ -24,7 +24,7 @@ _ALREADY = 1e-7  # rad, or a part of the focal length: below it nothing would mo
 
 @dataclass(frozen=True, slots=True)
 class Maps:
-    """Where the pixels of one rectified image come from (fixed point, 1/32 px), and which of them the camera has seen."""
+    """Source pixels of a rectified image (fixed point, 1/32 px), and which exist."""
 
     pixels: NDArray[np.int16]
     fractions: NDArray[np.uint16]
@@ -33,7 +33,7 @@ class Maps:
 
 @dataclass(frozen=True, slots=True)
 class Rectification:
-    """The rectified rig (R_rc = I, no distortion) and the maps to it; maps are None where the raw images are rectified."""
+    """The rectified rig (R_rc = I, no distortion) and the maps, None for rectified input."""
 
     rig: StereoRig
     left: Maps | None
@@ -41,7 +41,7 @@ class Rectification:
 
 
 def rectification(rig: StereoRig) -> Rectification:
-    """What a rig's images have to go through. Raises ValueError where the cameras do not stand side by side, left first."""
+    """Rectification of a rig. Raises ValueError unless the cameras stand side by side, left first."""
     if _is_rectified(rig):
         return Rectification(rig, None, None)
     R_from_c = _rows(rig)
@@ -65,14 +65,14 @@ def rectification(rig: StereoRig) -> Rectification:
 
 
 def rectify(image: Image, maps: Maps | None) -> Image:
-    """The image as the rectified camera would have taken it; black where it would have seen more than the raw one."""
+    """The rectified image, black beyond the raw one."""
     if maps is None:
         return image
     return cv2.remap(image, maps.pixels, maps.fractions, cv2.INTER_LINEAR)
 
 
 def _is_rectified(rig: StereoRig) -> bool:
-    """Whether rows already correspond; the principal points may differ along the rows."""
+    """Whether rows correspond already."""
     left, right, f = rig.left, rig.right, rig.left.fx
     lenses = any(left.distortion) or any(right.distortion)
     cameras = abs(np.array([left.fy - f, right.fx - f, right.fy - f, right.cy - left.cy])).max() <= _ALREADY * f
@@ -83,7 +83,7 @@ def _is_rectified(rig: StereoRig) -> bool:
 
 
 def _rows(rig: StereoRig) -> Array:
-    """R with x_c' = R @ x_c: x along the baseline, z between the two optical axes (Fusiello, Trucco, Verri 2000)."""
+    """R with x_c' = R @ x_c: x along the baseline, z between the optical axes (Fusiello, Trucco, Verri 2000)."""
     if not rig.baseline_m > 0.0:
         raise ValueError("stereo rig: the two cameras are at the same position")
     x = -rig.R_rc.T @ rig.t_rc / rig.baseline_m
@@ -96,7 +96,7 @@ def _rows(rig: StereoRig) -> Array:
 
 
 def _common_camera(rig: StereoRig, R_from_c: Array, R_from_r: Array) -> CameraModel:
-    """A pinhole without distortion: mean focal length, both images' middles as near to the middle as can be."""
+    """A pinhole with mean focal length, both images' middles near its middle."""
     f = float(np.mean([rig.left.fx, rig.left.fy, rig.right.fx, rig.right.fy]))
     width, height = rig.left.width, rig.left.height
     middles = []
@@ -119,7 +119,6 @@ def _maps(camera: CameraModel, R: Array, K: Array, size: tuple[int, int]) -> Map
 
 
 def _turned(covariance: Array | None, R: Array) -> Array | None:
-    """A pose covariance about other axes of its parent: blockdiag(R, R) C blockdiag(R, R)^T."""
     if covariance is None:
         return None
     both = np.kron(np.eye(2), R)
@@ -127,5 +126,4 @@ def _turned(covariance: Array | None, R: Array) -> Array | None:
 
 
 def _pinhole_part(camera: CameraModel) -> Array | None:
-    """Of a lens' covariance what a camera without distortion can carry: fx fy cx cy."""
     return None if camera.covariance is None else camera.covariance[:4, :4]

@@ -1,4 +1,4 @@
-"""Images of another size than the calibration's, of the same aspect ratio: u' + 1/2 = s (u + 1/2)."""
+"""Images of another size than the calibration's, same aspect ratio: u' + 1/2 = s (u + 1/2)."""
 
 from typing import Final
 
@@ -17,7 +17,7 @@ def fits(width: int, height: int, camera: CameraModel) -> bool:
 
 
 def scaled(image: Image, camera: CameraModel) -> Image:
-    """The image at the camera's size; as it is where it has that, or another aspect ratio."""
+    """The image at the camera's size; unchanged for another aspect ratio."""
     height, width = image.shape[:2]
     if (width, height) == (camera.width, camera.height) or not fits(width, height, camera):
         return image

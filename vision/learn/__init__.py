@@ -1,4 +1,4 @@
-"""A map from a flight: regions seen again and again become landmarks.
+"""A map from a flight: regions seen repeatedly become landmarks.
 
 Begin with `mapping`. May import identify and what is below it.
 """

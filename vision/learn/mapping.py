@@ -1,13 +1,13 @@
-"""Landmarks learned from a flight: one roof from many positions becomes one landmark with its covariance.
+"""Landmarks learned from a flight: a roof seen repeatedly, with its covariance.
 
     z_i = l + n_i + F_i s,   n_i ~ N(0, R_i) anew in each image,   s ~ N(0, I) the same in all of them
 
-F_i: pose, mounting, lens, depth (its column d_i). Rays of one roof meet in one point:
+F_i: pose, mounting, lens, depth (column d_i). Rays of one roof meet in one point:
 
     l    = C (Lambda_0 l_0 + sum S_i^-1 z_i),   C = (Lambda_0 + sum S_i^-1)^-1,   S_i = R_i + n d_i d_i^T
     cov  = C (Lambda_0 + sum S_i^-1 R_i S_i^-1) C + F F^T,    F = sum C S_i^-1 F_i
 
-so systematic errors are not averaged away. l_0: roofs stand a few metres above the ground.
+so systematic errors are not averaged. l_0: some metres above ground.
 """
 
 from collections.abc import Sequence
@@ -33,9 +33,8 @@ _NOT = 1e6  # cost of what is excluded
 
 
 class MappingConfig(msgspec.Struct, frozen=True):
-    """roof_m: of a roof above ground, a priori; centre_px, side_px: of a region; fresh_share: of the pose's variance, new in
-    each image; drift_m: along a flight; uneven: part of the rig's disparity error that differs over the image; gate:
-    probability.
+    """roof_m: prior roof height; centre_px, side_px: of a region; fresh_share: of the pose variance, new per image; drift_m:
+    along a flight; uneven: varying part of the rig's disparity error; gate: probability.
     """
 
     roof_m: float = 4.0
@@ -51,10 +50,10 @@ class MappingConfig(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """A region in one image: z (3,) m in n, R (3, 3), F (3, k), depth (3,) its column of the rig's depth.
+    """A region in one image: z (3,) m in n, R (3, 3), F (3, k), depth (3,): rig's depth column.
 
-    p_nc: the camera; rays (K, 3) of the outline, down 1; log_sides (2,), log_sigma (2,) of width and length where roofs are
-    expected; pixel_m: a pixel there; ray (3, 3): information of the ray without its length, 1 / m^2.
+    p_nc: camera; rays (K, 3) of the outline, down 1; log_sides, log_sigma (2,) of width, length; pixel_m; ray (3, 3): information
+    of the ray without its length, 1 / m^2.
     """
 
     frame: int
@@ -79,7 +78,7 @@ class Observation:
 def observe(
     frame: int, region: Region, measured: Measured | None, prior: Prior, rig: StereoRig, ground_d: float, config: MappingConfig
 ) -> Observation | None:
-    """A region with its distance, where measured, from the pose of its image; None: seen too flat; rig: the rectified one."""
+    """A region from its image's pose (rectified rig); None where too flat."""
     p_nc, R_nc = rig.camera_pose(prior.p_n, prior.R_nb)
     rays = rig.left.ray(region.outline) @ R_nc.T
     down = ground_d - config.roof_m - float(p_nc[2])
@@ -112,9 +111,7 @@ def observe(
 def _arm(
     region: Region, measured: Measured | None, rig: StereoRig, down: float, down_c: Array, config: MappingConfig
 ) -> tuple[Array, float, float]:
-    """x_c of the region's centroid, and the relative errors of its length: own, and the rig's; a guess where it is not
-    measured.
-    """
+    """x_c of the centroid and relative errors of its length, own and rig's; a guess where not measured."""
     outline = np.ascontiguousarray(region.outline)
     middle = polygon.describe(outline, np.array([0, len(outline)]))[:, [polygon.NORTH, polygon.EAST]]
     ray = rig.left.ray(middle)[0]
@@ -126,7 +123,6 @@ def _arm(
 
 
 def _sides(points: Array) -> Array:
-    """Width and length (2,) of an outline (K, 3) on a level plane."""
     outline = np.ascontiguousarray(points[:, :2])
     if polygon.area(outline) < 0.0:
         outline = np.ascontiguousarray(outline[::-1])
@@ -135,7 +131,7 @@ def _sides(points: Array) -> Array:
 
 
 def _of_rig(x_c: Array, R_nb: Array, R_nc: Array, rig: StereoRig) -> Array:
-    """How a point of n is moved by the errors of the mounting and of the left lens, (3, 10), each of variance 1."""
+    """Effect (3, 10) of mounting and left lens errors, of variance 1, on a point of n."""
     moved = np.zeros((3, 10))
     if rig.covariance_bc is not None:
         moved[:, :6] = R_nb @ np.hstack((np.eye(3), -so3.skew(rig.R_bc @ x_c))) @ _root(rig.covariance_bc)
@@ -147,14 +143,13 @@ def _of_rig(x_c: Array, R_nb: Array, R_nc: Array, rig: StereoRig) -> Array:
 
 
 def _root(covariance: Array) -> Array:
-    """The symmetric L with L L^T = C."""
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
 
 
 @dataclass(slots=True)
 class Track:
-    """What is taken for one thing, and where its rays meet so far: information (3, 3) and vector (3,)."""
+    """One object, and where its rays meet: information (3, 3), vector (3,)."""
 
     information: Array
     vector: Array
@@ -176,7 +171,7 @@ class Track:
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """l (3,); own (3, 3): the object's own covariance; F (3, k): common; chi2: squared distances over degrees of freedom."""
+    """l (3,); own (3, 3): own covariance; F (3, k): common; chi2: per degree of freedom."""
 
     position_n: Array
     own: Array
@@ -199,7 +194,7 @@ class Mapper:
         self._prior = np.diag([0.0, 0.0, self.config.roof_sigma_m**-2])
 
     def add(self, observations: Sequence[Observation]) -> None:
-        """The observations of one image: each belongs to a thing seen before, or is the first of a new one."""
+        """Add one image's observations to known objects, or as new ones."""
         chosen = self._associated(observations)
         for one, k in zip(observations, chosen, strict=True):
             if k < 0:
@@ -232,7 +227,7 @@ class Mapper:
         return float(off @ np.linalg.solve(S, off) + np.sum(sides**2 / (2.0 * sigma**2))) < _quantile(self.config.gate, 5)
 
     def _associated(self, observations: Sequence[Observation]) -> list[int]:
-        """For each observation the row of its track, -1 for none: the best pairs in the gate that also agree with each other."""
+        """Track row per observation, -1 for none: best pairs in the gate that agree jointly."""
         if not observations or not self.tracks:
             return [-1] * len(observations)
         gate = _quantile(self.config.gate, 4)
@@ -250,13 +245,13 @@ class Mapper:
         return [chosen.get(i, -1) for i in range(len(observations))]
 
     def _distance(self, one: Observation, track: Track, position: Array) -> float:
-        """Squared Mahalanobis distance in position and sides (two of the position's three axes: rays give no length)."""
+        """Squared Mahalanobis distance in position and sides (two axes: rays lack length)."""
         S = np.linalg.inv(track.information) + np.linalg.inv(one.ray) + one.F @ one.F.T
         off, sides = one.z - position, one.log_sides - track.log_sides
         return float(off @ np.linalg.solve(S, off) + np.sum(sides**2 / (2.0 * one.log_sigma**2)))
 
     def _keep_joint(self, observations: Sequence[Observation], chosen: dict[int, int]) -> None:
-        """Drop pairs until the rest agrees jointly: the pose's error is one for all regions of an image."""
+        """Drop pairs until the rest agrees jointly: one pose error per image."""
         while len(chosen) > 1:
             pairs = list(chosen.items())
             off = np.concatenate([observations[i].z - self.tracks[j].position for i, j in pairs])
@@ -277,5 +272,4 @@ class Mapper:
 
 
 def _quantile(probability: float, degrees: int) -> float:
-    """Chi-square below which this probability lies."""
     return float(2.0 * gammaincinv(0.5 * degrees, probability))

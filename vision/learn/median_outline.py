@@ -1,4 +1,4 @@
-"""One outline from many of the same thing: what at least half of them contain (Vorob'ev's median of random sets)."""
+"""One outline from many: what at least half of them contain (Vorob'ev median)."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -16,16 +16,14 @@ _WOBBLE_CELLS = 2.0  # of an outline that is no polygon
 
 
 class Merged(NamedTuple):
-    """outline (K, 2) about its centroid, anticlockwise from above; agreement: mean intersection over union (near 1 for a level
-    roof).
-    """
+    """outline (K, 2) about its centroid, anticlockwise from above; agreement: mean intersection over union."""
 
     outline: Array
     agreement: float
 
 
 def merged_outline(outlines: Sequence[Array], cell_m: float) -> Merged | None:
-    """Of outlines (K_i, 2) north, east on their centroids, by votes on a grid of cell_m; None: no half agrees, or no polygon."""
+    """Of outlines (K_i, 2) north, east about centroids, by votes on a grid of cell_m; None without majority or polygon."""
     laid = [outline - _centroid(outline) for outline in outlines]
     half = float(np.max([np.abs(outline).max() for outline in laid]))
     cell = max(cell_m, 2.0 * half / _MOST_CELLS)
@@ -43,14 +41,12 @@ def merged_outline(outlines: Sequence[Array], cell_m: float) -> Merged | None:
 
 
 def _drawn(outline: Array, side: int) -> NDArray[np.uint8]:
-    """1 inside an outline (K, 2) of row, column."""
     mask = np.zeros((side, side), np.uint8)
     cv2.fillPoly(mask, [np.rint(outline[:, ::-1]).astype(np.int32)], 1)
     return mask
 
 
 def _corners(mask: NDArray[np.uint8]) -> Array | None:
-    """Column, row (K, 2) of the largest piece's corners; None where they make no polygon."""
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not contours:
         return None

@@ -1,4 +1,4 @@
-"""From tracks to landmarks: the same thing twice becomes one, what is no landmark goes with its reason, outlines are merged."""
+"""Tracks to landmarks: duplicates united, rejects with reasons, outlines merged."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -17,8 +17,8 @@ _EDGE_PX = 0.4  # of all edges alike: blur, shadow along one side
 
 
 class KeepConfig(msgspec.Struct, frozen=True):
-    """Limits of a landmark: least_frames, sigma_m, height_sigma_m, least_m2; most_chi2: per degree of freedom; least_agreement:
-    of its outlines; painted_sigma: a roof within so many sigmas of the ground is on it.
+    """least_frames, sigma_m, height_sigma_m, least_m2; most_chi2: per degree of freedom; least_agreement: of outlines;
+    painted_sigma: a roof within so many sigmas of the ground is on it.
     """
 
     least_frames: int = 4
@@ -32,7 +32,7 @@ class KeepConfig(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Learned:
-    """Landmarks, the images of each, and tracks left out by reason; common (3, 3): covariance of the map's common error."""
+    """Landmarks, images of each, tracks left out by reason; common (3, 3): covariance common to the map."""
 
     landmarks: list[Landmark]
     seen: list[int]
@@ -63,7 +63,7 @@ def learned(mapper: Mapper, ground_d: float, config: KeepConfig | None = None) -
 
 
 def _united(mapper: Mapper) -> list[Track]:
-    """Tracks of which one continues another become one: at the same position, as large, and never in the same image."""
+    """Tracks at one position, as large, never in the same image, united."""
     united = list[Track]()
     for track in sorted(mapper.tracks, key=lambda t: -len(t.observations)):
         frames = {one.frame for one in track.observations}
@@ -77,7 +77,6 @@ def _united(mapper: Mapper) -> list[Track]:
 
 
 def _flaw(track: Track, position: Position, config: KeepConfig) -> str:
-    """Why a track is no landmark, "" where it is one."""
     sigma = np.sqrt(np.diag(position.covariance))
     if len(track.observations) < config.least_frames:
         return f"seen in fewer than {config.least_frames} images"
@@ -89,7 +88,7 @@ def _flaw(track: Track, position: Position, config: KeepConfig) -> str:
 
 
 def _landmark(name: str, track: Track, position: Position, apart: Array, ground_d: float, config: KeepConfig) -> Landmark | str:
-    """The landmark of a track, or why there is none. apart (3, 3): covariance of what is not common to the whole map."""
+    """The landmark of a track, or why none; apart (3, 3): covariance not common to the map."""
     roof_d = float(position.position_n[2])
     outlines = [one.outline_at(roof_d) for one in track.observations]
     pixel_m = float(np.median([one.pixel_m for one in track.observations]))
@@ -115,7 +114,7 @@ def _landmark(name: str, track: Track, position: Position, apart: Array, ground_
 
 
 def _outline_sigma(track: Track, outline: Array, outlines: list[Array], height_sigma_m: float, pixel_m: float) -> float:
-    """By how much the whole outline may be larger: edges seen wrong, scatter of the sizes, a roof nearer to all the cameras."""
+    """Sigma of the outline's size: edge errors, scatter of sizes, roof nearer to the cameras."""
     size, perimeter = polygon.area(outline), float(np.linalg.norm(np.roll(outline, -1, axis=0) - outline, axis=1).sum())
     scatter = float(np.std([polygon.area(o) for o in outlines])) / perimeter / np.sqrt(len(outlines))
     distance = float(np.median([track.position[2] - one.p_nc[2] for one in track.observations]))
@@ -124,7 +123,6 @@ def _outline_sigma(track: Track, outline: Array, outlines: list[Array], height_s
 
 
 def _overlap(a: Landmark, b: Landmark) -> bool:
-    """Whether the middle of one lies in the other."""
     if np.hypot(*(np.array(a.centre_n) - b.centre_n)) > 0.5 * (a.length_m + b.length_m):
         return False
     return polygon.contains(a.outline_n, *b.centre_n) or polygon.contains(b.outline_n, *a.centre_n)

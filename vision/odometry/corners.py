@@ -1,7 +1,4 @@
-"""Key-frame corners: FAST on a grid, so that they cover the image and not the best texture alone.
-
-Rosten, Drummond 2006 (FAST-9 with non-maximum suppression); the strongest few of each cell are kept.
-"""
+"""Key-frame corners: FAST-9 (Rosten, Drummond 2006), the strongest of each grid cell."""
 
 from typing import Final
 
@@ -21,7 +18,7 @@ _COLUMNS, _ROWS = 12, 8
 
 
 def corners(image: Image, mask: Mask | None, wanted: int) -> Array:
-    """(N, 2) pixels (u, v), N <= wanted: the strongest of each grid cell, in the order of the cells.
+    """(N, 2) pixels (u, v), N <= wanted, in the order of the cells.
 
     image (H, W) uint8; mask: 0 where no corner may be.
     """
@@ -46,7 +43,6 @@ def corners(image: Image, mask: Mask | None, wanted: int) -> Array:
 
 
 def _cells(px: Array, shape: tuple[int, ...]) -> NDArray[np.intp]:
-    """The grid cell (N,) that each pixel (N, 2) lies in, row by row."""
     height, width = shape[:2]
     column = (px[:, 0] * (_COLUMNS / width)).astype(np.intp)
     row = (px[:, 1] * (_ROWS / height)).astype(np.intp)
@@ -55,7 +51,7 @@ def _cells(px: Array, shape: tuple[int, ...]) -> NDArray[np.intp]:
 
 
 def _strongest_of_cells(px: Array, strength: Array, cell: NDArray[np.intp], wanted: int) -> NDArray[np.intp]:
-    """Indices of the strongest corners of each cell; slots that empty cells leave go to the second, third ... of the others."""
+    """Strongest corners of each cell; slots of empty cells go to the others' next ones."""
     order = np.lexsort((px[:, 0], px[:, 1], -strength, cell))
     first = np.r_[True, np.diff(cell[order]) != 0]
     start = np.maximum.accumulate(np.where(first, np.arange(len(order)), 0))

@@ -1,14 +1,14 @@
-"""The motion between two stereo pairs from points y = (u_l, v_l, u_r), by Gauss-Newton with the points eliminated.
+"""Motion between two stereo pairs from points y = (u_l, v_l, u_r), by Gauss-Newton, points eliminated.
 
     z_0 = y + i delta + e_0,   z_1 = g(y; T) + i delta + e_1,   g = h o T^-1 o h^-1,   i = (0, 0, 1)   (two views of each point)
     d(y) = f b pi^T m(y) + e_d,   m = ((u_l - c_x) / f, (v_l - c_y) / f, 1)                           (ground plane, optional)
 
-h projects a point of the camera to (u_l, v_l, u_r); T: pose of the body at t1 in the body at t0 (p, R). delta: error of all
-disparities by the rig, N(0, sigma_delta^2). pi = n / height. With G = dg/dy, C = dg/d(T, delta, pi), S = R_1 + G R_0 G^T each
-point contributes C^T S^-1 C (Schur complement; Triggs et al. 2000).
+h: camera point to (u_l, v_l, u_r); T: body pose at t1 in the body at t0; delta: common disparity error of the rig, N(0,
+sigma_delta^2); pi = n / height. With G = dg/dy, C = dg/d(T, delta, pi), S = R_1 + G R_0 G^T each point contributes C^T S^-1 C
+(Schur complement; Triggs et al. 2000).
 
-With the normal matrix N and its part L by the priors of delta and height, N^-1 L (prior - truth) is the systematic error;
-N^-1 (N - L) N^-1 is new in each step. p_true = p + dp, R_true = R exp(theta).
+Normal matrix N, L its part by the priors of delta and height: systematic error N^-1 L (prior - truth); new in each step N^-1 (N -
+L) N^-1. p_true = p + dp, R_true = R exp(theta).
 """
 
 from dataclasses import dataclass
@@ -41,7 +41,7 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Plane:
-    """Ground seen from the first camera: n (3,) downwards, height and sigma [m], slope [rad], how far points lie off it [m]."""
+    """Ground from the first camera: n (3,) down, height and sigma [m], slope [rad], point scatter [m]."""
 
     n: Array
     height_m: float
@@ -67,10 +67,10 @@ class Plane:
 
 
 class Solution(NamedTuple):
-    """motion; covariance (6, 6) of what is new in this step; squared distances (N,); scale of the residuals, 1 = as expected.
+    """motion; covariance (6, 6) new in this step; squared distances (N,); residual scale, 1 = as expected.
 
-    systematic: (6, 2) motion - truth for disparities, and for a height, 1 sigma too large; residuals: (N, 2) of (u_l, v_l) at
-    t1, in sigma; converged: False: the rest is meaningless.
+    systematic: (6, 2) motion - truth for disparities and height 1 sigma too large; residuals: (N, 2) of (u_l, v_l) at t1, in
+    sigma; converged.
     """
 
     motion: Motion
@@ -122,7 +122,7 @@ class Geometry:
         return y, J
 
     def seen_from(self, motion: Motion, x_c: Array) -> tuple[Array, Array]:
-        """Points (N, 3) of the first camera in the axes of the second one's body (N, 3), and of its camera (N, 3)."""
+        """Points (N, 3) of the first camera in the second body (N, 3) and camera (N, 3)."""
         x_b1 = (x_c @ self.R_bc.T + self.p_bc - motion.p) @ motion.R
         return x_b1, (x_b1 - self.p_bc) @ self.R_bc
 
@@ -145,10 +145,10 @@ def solve(
     *,
     guide: Array | None = None,
 ) -> Solution:
-    """The motion of two measurements (N, 3) of N points; NaN in u_r: not measured (then with a plane); sigma_px: of each value.
+    """Motion from measurements (N, 3) of N points; NaN in u_r: not measured (needs a plane); sigma_px: of each value.
 
-    Cauchy weights with the residuals' scale. guide: information (6, 6) that keeps the motion near the start, with the scale of
-    the noise: it selects the points of the nearest of several motions.
+    Cauchy weights, scale of the residuals. guide: information (6, 6) about the start, scaled by the noise: selects one of several
+    motions.
     """
     z0, variance0 = _filled(geometry, y0, sigma_px, plane)
     variance1 = np.where(np.isfinite(y1), sigma_px**2, _NOTHING_PX2)
@@ -191,7 +191,6 @@ def solve(
 
 
 def _prior(disparity_sigma_px: float, plane: Plane | None) -> Array:
-    """Information of delta, and of pi, among the unknowns (p, theta, delta[, pi])."""
     prior = np.zeros((7, 7) if plane is None else (10, 10))
     prior[6, 6] = disparity_sigma_px**-2
     if plane is not None:
@@ -200,7 +199,7 @@ def _prior(disparity_sigma_px: float, plane: Plane | None) -> Array:
 
 
 def _errors(N: Array, disparity_sigma_px: float, plane: Plane | None) -> tuple[Array, Array]:
-    """Covariance (6, 6) new in each step, symmetric to the bit, and the systematic part (6, 2); N is scaled by diag(N)^-1/2."""
+    """Covariance (6, 6) new in each step, symmetric, and systematic part (6, 2); N is scaled by diag(N)^-1/2."""
     units = np.diag(N) ** -0.5
     P = units[:, np.newaxis] * np.linalg.inv(N * np.outer(units, units)) * units
     P = 0.5 * (P + P.T)
@@ -212,7 +211,7 @@ def _errors(N: Array, disparity_sigma_px: float, plane: Plane | None) -> tuple[A
 
 
 class _System(NamedTuple):
-    """Residual e (N, r), C (N, r, unknowns), G (N, r, 3), S^-1 (N, r, r), sigma of two (N, 2); r = 3, or 4 with a plane."""
+    """Residual e (N, r), C (N, r, unknowns), G (N, r, 3), S^-1 (N, r, r), two sigmas (N, 2); r = 3, or 4 with a plane."""
 
     e: Array
     C: Array
@@ -222,7 +221,7 @@ class _System(NamedTuple):
 
 
 def _filled(geometry: Geometry, y0: Array, sigma_px: float, plane: Plane | None) -> tuple[Array, Array]:
-    """Measurements and variances (N, 3) of the first pair; u_r that is missing stands where the plane says, with no weight."""
+    """Measurements and variances (N, 3) of the first pair; missing u_r on the plane, without weight."""
     missing = ~np.isfinite(y0[:, 2])
     z0, variance = y0.copy(), np.full(y0.shape, sigma_px**2)
     if missing.any():
@@ -242,7 +241,7 @@ def _linearised(
     plane: Plane | None,
     measured: tuple[Array, Array, Array, Array],
 ) -> _System:
-    """e = z_1 - g(y) - i delta - G (z_0 - i delta - y): the residual with the point eliminated; z_0 comes without delta."""
+    """e = z_1 - g(y) - i delta - G (z_0 - i delta - y), the point eliminated; z_0 without delta."""
     z0, variance0, y1, noise = measured
     x, X_y = geometry.points(y)
     x_b1, x_c1 = geometry.seen_from(motion, x)
@@ -267,9 +266,7 @@ def _linearised(
 def _with_plane(
     geometry: Geometry, y: Array, pi: Array, plane: Plane, rows: tuple[Array, Array, Array, Array]
 ) -> tuple[Array, Array, Array, Array]:
-    """Residuals, C, G and variances with the row 0 = d(y) - f b pi^T m(y); asymmetric weights, because corners stand above the
-    ground.
-    """
+    """With the row 0 = d(y) - f b pi^T m(y), asymmetric weights: corners stand above ground."""
     e, C, G, noise = rows
     d, D_pi = geometry.plane_disparity(y, pi)
     off = d - geometry.disparity(y)
@@ -285,7 +282,7 @@ def _with_plane(
 
 
 def _weights(distances: Array, guided: bool) -> tuple[Array, float]:
-    """Weights (N,) of squared distances (N,) (Cauchy; guided: Geman and McClure), and the scale of the residuals."""
+    """Weights (N,) of squared distances (N,) (Cauchy; guided: Geman and McClure), and residual scale."""
     if guided:
         redescending: Array = 1.0 / (1.0 + distances / _GUIDED**2) ** 2
         return redescending, 1.0
@@ -295,7 +292,7 @@ def _weights(distances: Array, guided: bool) -> tuple[Array, float]:
 
 
 def _points_after(z0: Array, variance0: Array, system: _System, step: Array) -> Array:
-    """y = z_0 - i delta + R_0 G^T S^-1 (e - C step); z_0 comes without delta."""
+    """y = z_0 - i delta + R_0 G^T S^-1 (e - C step); z_0 without delta."""
     left_over = system.e - system.C @ step
     weighted = np.matmul(system.S_inverse, left_over[:, :, None])
     moved: Array = z0 + variance0 * np.matmul(system.G.transpose(0, 2, 1), weighted)[:, :, 0]

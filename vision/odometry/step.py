@@ -1,8 +1,8 @@
-"""One step of odometry: two stereo pairs and the predicted motion -> the motion with its covariance, or the reason for none.
+"""One step of odometry: motion with covariance, or the reason for none.
 
     pairs -> contrast normalised, rectified at half size (Frame) -> corners, tracks -> Gauss-Newton (motion) -> Step
 
-A pure function. The prediction begins tracks and separates two motions; it is never a measurement in the solution.
+Pure. The prediction starts tracks and separates two motions; it is no measurement.
 """
 
 from dataclasses import dataclass, field
@@ -40,8 +40,8 @@ _FLOOR: Final = np.array([0.002] * 3 + [np.radians(0.04)] * 3)  # m, rad
 
 @dataclass(frozen=True, slots=True)
 class OdometrySettings:
-    """points: corners of a key frame; disparity_sigma_px: at least; relief_m: of the ground's mean against the given height,
-    roughness_m: of points against their mean, slope_deg: of the ground.
+    """points: of a key frame; disparity_sigma_px: at least; relief_m: ground mean against the given height, roughness_m: points
+    against their mean, slope_deg.
     """
 
     points: int = 140
@@ -53,9 +53,9 @@ class OdometrySettings:
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """Pose of the body at t1 in the body at t0: p (3,), q wxyz, covariance (6, 6) of (dp, theta), R = R exp(theta).
+    """Body pose at t1 in the body at t0: p (3,), q wxyz, covariance (6, 6) of (dp, theta), R = R exp(theta).
 
-    down_b: unit vector downwards at t0, height_m above the ground, 1-sigma; None: not known.
+    down_b: unit vector at t0, height_m above ground, sigma; None: unknown.
     """
 
     p: Array
@@ -76,7 +76,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class Tracks:
-    """Measurements y (N, 3) of the same points in both frames, px; NaN in u_r: not measured."""
+    """y (N, 3) of the same points in both frames, px; NaN in u_r: not measured."""
 
     y0: Array
     y1: Array
@@ -84,10 +84,10 @@ class Tracks:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """Pose of the body at t1 in the body at t0, or reason.
+    """Body pose at t1 in the body at t0, or reason.
 
-    covariance (6, 6) of (dp, theta), new in each step; systematic (6, 2): by disparities and a height 1 sigma too large;
-    residual_scale: 1 = as expected; inliers: of the tracks.
+    covariance (6, 6) of (dp, theta), new in each step; systematic (6, 2): disparities, height 1 sigma too large; residual_scale:
+    1 = as expected.
     """
 
     reason: str
@@ -136,7 +136,6 @@ class StereoOdometry:
         return self.motion_of(tracks, prediction)
 
     def _plane(self, prediction: Prediction) -> Plane | None:
-        """The ground as the first camera sees it."""
         if prediction.down_b is None:
             return None
         geometry = self._geometry
@@ -148,7 +147,7 @@ class StereoOdometry:
         return Plane(n, h, sigma, float(np.radians(self.settings.slope_deg)), self.settings.roughness_m)
 
     def _tracks(self, first: Frame, second: Frame, raw: Array, prediction: Prediction, plane: Plane | None) -> Tracks:
-        """Corners (raw pixels) followed to the right image, to the second frame, and to its right image."""
+        """Raw-pixel corners followed to the right, the second, and its right image."""
         geometry = self._geometry
         px = self._left.rectified(raw)
         raw, px = raw[np.isfinite(px[:, 0])], px[np.isfinite(px[:, 0])]
@@ -179,7 +178,7 @@ class StereoOdometry:
         return Tracks(y0, y1)
 
     def _columns(self, first: Frame, raw: Array, px: Array, plane: Plane | None) -> Array:
-        """u_r (N,) of the corners, raw and rectified pixels (N, 2): with a height only near the plane."""
+        """u_r (N,) of corners, raw and rectified (N, 2): with a height near the plane only."""
         if first.right is None:
             return np.full(len(px), np.nan)
         most = np.full(len(px), _MOST_DISPARITY * self._left.camera.width)
@@ -236,7 +235,7 @@ class StereoOdometry:
     def _checked(
         self, tracks: Tracks, chosen: NDArray[np.bool_], prediction: Prediction, plane: Plane | None
     ) -> tuple[Solution, NDArray[np.bool_], str]:
-        """A solution of the chosen points, which of all points fit it, and why it cannot be used ("": it can)."""
+        """Solution of chosen points, inliers of all, and why it is unusable ("": usable)."""
         solution = self._solve(tracks, chosen, prediction, plane)
         inliers = chosen.copy()
         inliers[chosen] = solution.distances <= _INLIER * solution.scale**2
@@ -244,7 +243,6 @@ class StereoOdometry:
 
     @staticmethod
     def _flaw(solution: Solution, inliers: NDArray[np.bool_]) -> str:
-        """Why a solution cannot be used; "" if it can."""
         n, good = len(inliers), int(inliers.sum())
         if not solution.converged:
             return f"no convergence with {n} points"
@@ -257,7 +255,7 @@ class StereoOdometry:
     def _second_motion(
         self, tracks: Tracks, inliers: NDArray[np.bool_], solution: Solution, prediction: Prediction, plane: Plane | None
     ) -> tuple[str, str]:
-        """(reason, remark): whether the points that do not fit move together, and whether the prediction separates them."""
+        """(reason, remark): whether outliers move together, and whether the prediction separates them."""
         others = ~inliers
         count = int(others.sum())
         if count < max(_SECOND_POINTS, _SECOND_SHARE * len(inliers)):
@@ -274,9 +272,7 @@ class StereoOdometry:
 
 
 def _shared(px: Array, residuals: Array) -> float:
-    """Correlation of the residuals (N, 2) with those of the nearest points px (N, 3): errors that points share do not average
-    out.
-    """
+    """Correlation of residuals (N, 2) with their nearest points' px (N, 3): shared errors do not average."""
     apart = np.square(px[:, None, 0] - px[:, 0]) + np.square(px[:, None, 1] - px[:, 1])
     np.fill_diagonal(apart, np.inf)
     nearest = np.argpartition(apart, _NEIGHBOURS, axis=1)[:, :_NEIGHBOURS]
@@ -294,13 +290,11 @@ def _turn_flaw(solution: Solution, prediction: Prediction) -> str:
 
 
 def _distance(solution: Solution, prediction: Prediction) -> float:
-    """Squared Mahalanobis distance of a solution from the prediction."""
     e, S = _difference(solution, prediction)
     return float(e @ np.linalg.solve(S, e))
 
 
 def _difference(solution: Solution, prediction: Prediction) -> tuple[Array, Array]:
-    """Solution - prediction (6,), and its covariance (6, 6)."""
     motion = solution.motion
     turn = so3.quat_log(so3.from_matrix(np.ascontiguousarray(so3.matrix(prediction.q).T @ motion.R)))
     own = _INFLATION * solution.scale**2 * solution.covariance + solution.systematic @ solution.systematic.T
@@ -308,7 +302,7 @@ def _difference(solution: Solution, prediction: Prediction) -> tuple[Array, Arra
 
 
 def _disparity_sigma_px(rig: StereoRig) -> float:
-    """What the calibration leaves open of all disparities: principal points, and the right camera's turn about its y axis."""
+    """Common disparity error left by calibration: principal points, right camera's turn about y."""
     variance = sum(float(c.covariance[2, 2]) for c in (rig.left, rig.right) if c.covariance is not None)
     if rig.covariance_rc is not None:
         variance += rig.left.fx**2 * float(rig.covariance_rc[4, 4])

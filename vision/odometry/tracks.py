@@ -1,7 +1,7 @@
-"""Tracks of corners through two stereo pairs by pyramidal Lucas-Kanade (Bouguet 2001), in raw images.
+"""Corner tracks through two stereo pairs, pyramidal Lucas-Kanade (Bouguet 2001), raw images.
 
-y = (u_l, v_l, u_r): rectified pixels of the left image and the right column; NaN: not measured. Each match must return to its
-start and keep its row.
+y = (u_l, v_l, u_r): rectified left pixels, right column; NaN: not measured. Matches must return to their start and keep their
+row.
 """
 
 from typing import Final
@@ -26,9 +26,9 @@ _PEAK, _DISTINCT = 3, 0.04  # no position further off than this many px correlat
 
 
 def stereo(left: View, right: View, raw_px: Array, row: Array, guess: Array, lens: Lens) -> Array:
-    """u_r (N,) of raw left pixels (N, 2) whose rectified rows are row (N,); NaN: not found.
+    """u_r (N,) of raw left pixels (N, 2) of rectified rows row (N,); NaN: not found.
 
-    guess (N,): the rectified column where it is expected, within a few pixels; lens: the right camera's.
+    guess (N,): expected rectified column; lens: the right camera's.
     """
     there, found = _flow(left.raw, right.raw, raw_px, lens.raw(np.column_stack((guess, row))), left.scale.bit_length() - 1)
     px = lens.rectified(there)
@@ -37,9 +37,7 @@ def stereo(left: View, right: View, raw_px: Array, row: Array, guess: Array, len
 
 
 def coarse_columns(left: View, right: View, px: Array, low: Array, high: Array) -> Array:
-    """u_r (N,) of rectified left pixels px (N, 2) to about 1 px, between columns low and high (N,), by correlation along the
-    row; NaN: none or two.
-    """
+    """u_r (N,) of rectified left pixels px (N, 2) to 1 px, between low and high (N,), by row correlation; NaN: none or two."""
     a, b, k_small = left.small, right.small, 1.0 / left.scale
     height, width = a.shape
     exact = scaled_px(px, k_small)
@@ -63,9 +61,9 @@ def coarse_columns(left: View, right: View, px: Array, low: Array, high: Array) 
 
 
 def temporal(first: Image, second: Image, px: Array, guess: Array, H: Array) -> Array:
-    """(N, 2) pixels in the second image of first pixels px (N, 2), both raw; guess (N, 2): expected.
+    """(N, 2) raw pixels in the second image of px (N, 2); guess (N, 2).
 
-    H (3, 3) ~ K R_01 K^-1 turns the second image to the attitude of the first.
+    H (3, 3) ~ K R_01 K^-1 turns the second image to the first's attitude.
     """
     turned = cv2.warpPerspective(second, H, (second.shape[1], second.shape[0]), flags=cv2.INTER_LINEAR)
     there, found = _flow(first, turned, px, _mapped(H, guess), _LEVELS)
@@ -77,7 +75,7 @@ def temporal(first: Image, second: Image, px: Array, guess: Array, H: Array) -> 
 
 
 def _flow(a: Image, b: Image, px: Array, guess: Array, levels: int) -> tuple[Array, NDArray[np.bool_]]:
-    """Pixels (N, 2) in b of pixels in a, and which of them return to their beginning."""
+    """Pixels (N, 2) in b of pixels in a, and which return."""
     known: NDArray[np.bool_] = np.asarray(np.isfinite(guess).all(axis=1), np.bool_)
     if not known.any():
         return np.full((len(px), 2), np.nan), known
@@ -97,7 +95,6 @@ def _flow(a: Image, b: Image, px: Array, guess: Array, levels: int) -> tuple[Arr
 
 
 def _mapped(H: Array, px: Array) -> Array:
-    """Pixels (N, 2) through a homography."""
     x = px @ H[:, :2].T + H[:, 2]
     mapped: Array = x[:, :2] / x[:, 2:]
     return mapped

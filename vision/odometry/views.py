@@ -1,4 +1,4 @@
-"""One camera of the rig: its raw image, in which points are tracked, a small rectified one, and pixels from one to the other.
+"""One camera: raw image (tracking), small rectified image, pixels between them.
 
 x ~ R_cc' K^-1 (u, v, 1),   (u, v)_raw = project(x)          (R_cc': rectified camera axes c' in those of the camera c)
 """
@@ -21,7 +21,7 @@ _WIDE_PX: Final = 1000  # wider images are reduced by 4 instead of 2
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """raw: an image as it was taken; small: rectified, `scale` times smaller. Both grey, and contrast normalised."""
+    """raw image; small: rectified, `scale` times smaller; grey, contrast normalised."""
 
     raw: Image
     small: Image
@@ -29,9 +29,9 @@ class View:
 
 
 class Lens:
-    """Between raw and rectified pixels of one camera.
+    """Raw and rectified pixels of one camera.
 
-    maps: of the small image, None where raw images are rectified; scale: how many times smaller it is.
+    maps: of the small image, None for rectified input; scale: its reduction.
     """
 
     def __init__(self, camera: CameraModel, R_from_c: Array, rectified: CameraModel, maps: Maps | None, scale: int) -> None:
@@ -60,13 +60,13 @@ class Lens:
         return np.asarray(mask, np.uint8)
 
     def turn(self, R: Array) -> Array:
-        """K R' K^-1 (3, 3) for a rotation R of the rectified camera: what it does to the middle of the raw image."""
+        """K R' K^-1 (3, 3) of a rotation R, at the middle of the raw image."""
         K = self.camera.matrix
         H: Array = K @ (self._R.T @ R @ self._R) @ np.linalg.inv(K)
         return H
 
     def view(self, image: Image) -> View:
-        """Grey, of mean 128 and spread 45: thresholds and brightness then mean the same in all four images."""
+        """Grey, mean 128, spread 45: thresholds are alike in all images."""
         raw = grey(image)
         small = rectify(reduced(raw, self._scale), self._maps)
         mean, spread = cv2.meanStdDev(small, mask=None if self._maps is None else self._maps.valid)
@@ -76,7 +76,7 @@ class Lens:
 
 
 def lenses(rig: StereoRig) -> tuple[StereoRig, Lens, Lens]:
-    """The rectified rig at full size, without covariances, and its cameras' lenses. Raises ValueError as rectification() does."""
+    """Full-size rectified rig without covariances, and lenses. Raises ValueError as rectification()."""
     scale = 4 if rig.left.width > _WIDE_PX else 2
     k = 1.0 / scale
     small = rectification(StereoRig(_scaled(rig.left, k), _scaled(rig.right, k), rig.R_rc, rig.t_rc, rig.R_bc, rig.p_bc))
@@ -93,19 +93,18 @@ def grey(image: Image) -> Image:
 
 
 def reduced(image: Image, scale: int) -> Image:
-    """Means of scale x scale pixels; what is left over at the right and lower border is left out."""
+    """Means of scale x scale pixels; the remainder is dropped."""
     height, width = image.shape[0] // scale, image.shape[1] // scale
     return cv2.resize(image[: scale * height, : scale * width], (width, height), interpolation=cv2.INTER_AREA)
 
 
 def scaled_px(px: Array, k: float) -> Array:
-    """Pixels of an image k times the size: centres of pixels are at integers, so that the image's corner is at -1/2."""
+    """Pixels of an image k times the size (centres at integers)."""
     scaled: Array = k * (px + 0.5) - 0.5
     return scaled
 
 
 def _scaled(camera: CameraModel, k: float) -> CameraModel:
-    """The camera of an image k times the size."""
     cx, cy = scaled_px(np.array([camera.cx, camera.cy]), k).tolist()
     width, height = int(k * camera.width), int(k * camera.height)
     return CameraModel(width, height, k * camera.fx, k * camera.fy, cx, cy, camera.distortion)

@@ -1,4 +1,4 @@
-"""The outline of a landmark in an image: visible edges, profiles, sub-pixel steps, lines and their noise.
+"""A landmark's outline in an image: visible edges, profiles, steps, lines, noise.
 
 May import describe and image.
 """

@@ -1,4 +1,4 @@
-"""Pose of the vehicle from identified landmarks: observations, least squares, covariance, undetermined directions.
+"""Pose from identified landmarks: observations, least squares, covariance, open directions.
 
 Begin with `pose`. May import outline, identify and the layers below them.
 """

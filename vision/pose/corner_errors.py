@@ -1,4 +1,4 @@
-"""Effect of an outline's corner errors on its edges, and on the pose.
+"""Effect of corner errors on edges and pose.
 
     offset = n^T (e_1 + e_2) / 2,   tilt = n^T (e_2 - e_1) / 2,   e ~ N(0, sigma^2 I)
 
@@ -15,16 +15,16 @@ from vision.pose.least_squares import POSE
 
 
 def by_corners(cornered: Array) -> Array:
-    """B (E, 2 K, 2): offset and tilt of each edge in K images by two errors of variance 1; cornered (E, K): as Observation."""
+    """B (E, 2 K, 2): offset and tilt of each edge in K images by two unit-variance errors; cornered (E, K)."""
     own = np.zeros((*cornered.shape, 2, 2))
     own[:, :, 0, 0] = own[:, :, 1, 1] = cornered
     return own.reshape(len(own), -1, 2)
 
 
 def repeating(moved: Array, landmark: NDArray[np.int64], count: int, room: int) -> Array:
-    """(L, 6, room): the largest part, as errors of variance 1, of the edges' own errors (E, 6, c) on the pose.
+    """(L, 6, room): main part, as unit-variance errors, of edge errors' (E, 6, c) effect on the pose.
 
-    landmark (E,): of the edges, count of them. The rest counts as new in each image.
+    landmark (E,) of `count`; the rest counts as new in each image.
     """
     whole = np.zeros((count, POSE, POSE))
     np.add.at(whole, landmark, moved @ moved.transpose(0, 2, 1))

@@ -1,8 +1,8 @@
-"""A shift of the whole map, common to all fixes made with it.
+"""A shift of the whole map, common to all its fixes.
 
     P_map = P + C,    C = diag(s_h^2, s_h^2, s_v^2, 0, 0, 0)        (s: common_sigma_m, horizontal and vertical)
 
-The prior is known with P_map in the map's coordinates; a fix' error on Earth has C in addition.
+P_map: prior in map coordinates; C adds to a fix' error on Earth.
 """
 
 from dataclasses import replace
@@ -23,7 +23,7 @@ def on_map(prior: Prior, common_sigma_m: tuple[float, float]) -> Prior:
 
 
 def with_map_error(fix: LandmarkFix, common_sigma_m: tuple[float, float]) -> LandmarkFix:
-    """The fix with the error of the map as a whole, horizontal and vertical standard deviation, as one more that repeats."""
+    """The fix with the map's common error, horizontal and vertical sigma, as another systematic one."""
     if not any(common_sigma_m):
         return fix
     sigma = np.array([common_sigma_m[0], common_sigma_m[0], common_sigma_m[1]])
@@ -39,7 +39,6 @@ def with_map_error(fix: LandmarkFix, common_sigma_m: tuple[float, float]) -> Lan
 
 
 def _joined(errors: Array, moved: Array) -> Array:
-    """(m + 1, 6, k) of (m, 6, k) and (6, 3)."""
     width = max(errors.shape[2], moved.shape[1])
     joined = np.zeros((len(errors) + 1, 6, width))
     joined[:-1, :, : errors.shape[2]] = errors

@@ -1,9 +1,9 @@
-"""Pose from map points at known pixels with covariances, and the prior, by robust Gauss-Newton (Lowe 1991).
+"""Pose from map points at known pixels, and the prior, by robust Gauss-Newton (Lowe 1991).
 
     px_i = project(R_nc^T (X_i - p_nc)) + e_i,   e_i ~ N(0, R_i)
     dx_c = R_nc^T (-dp + [X - p]x dtheta + dX) + R_bc^T (-dt_bc + [x_b - p_bc]x dtheta_bc)
 
-Common errors (georeference, ground height, mounting, camera) are unknowns of unit variance. Reported without the prior.
+Common errors (georeference, height, mounting, camera) are unit-variance unknowns. Reported without the prior.
 """
 
 from dataclasses import dataclass
@@ -26,9 +26,7 @@ _SURPRISE = 22.5  # chi-square (6) against the prior from which on the points ar
 
 
 class PointConfig(msgspec.Struct, frozen=True):
-    """gate: chi-square (2) of a point; least: points of a pose; freedom, expected: prior of the variance factor, as in
-    PoseConfig.
-    """
+    """gate: chi-square (2) of a point; least: points of a pose; freedom, expected: variance factor's prior."""
 
     gate: float = 13.8
     least: int = 8
@@ -53,7 +51,7 @@ class Points:
 
 @dataclass(frozen=True, slots=True)
 class PointPose:
-    """estimate: the pose; landmark_errors (1, 6, 3): effect of map errors north, east, down; residual (N, 2) px; used (N,)."""
+    """estimate; landmark_errors (1, 6, 3): by map errors north, east, down; residual (N, 2) px; used (N,)."""
 
     estimate: PoseEstimate
     residual: Array
@@ -64,9 +62,9 @@ def fit_points(
     rig: StereoRig, points: Points, start: Pose, prior: Prior, map_sigma: tuple[float, float, float],
     config: PointConfig | None = None,
 ) -> PointPose | str:  # fmt: skip
-    """The pose, or why there is none. start: p_n, R_nb.
+    """The pose, or why none; start: p_n, R_nb.
 
-    map_sigma: of what all points share: horizontal and of the height [m], and the slope of the ground [rad].
+    map_sigma: common horizontal, height [m], ground slope [rad].
     """
     config = config or PointConfig()
     if len(points.px) < config.least:
@@ -94,7 +92,7 @@ def _final(
     rig: StereoRig, points: Points, pose: Pose, prior: Prior, information: Array,
     map_sigma: tuple[float, float, float], config: PointConfig,
 ) -> PointPose | str:  # fmt: skip
-    """The last step, with the covariances as they are; points that do not fit are left out."""
+    """The last step, covariances fixed, outliers left out."""
     p_n, R_nb = pose
     used = np.ones(len(points.px), dtype=np.bool_)
     delta = difference(p_n, R_nb, prior.p_n, prior.q_nb_wxyz)
@@ -186,6 +184,5 @@ def _root(covariance: Array) -> Array:
 
 
 def _moved(p_n: Array, R_nb: Array, step: Array) -> tuple[Array, Array]:
-    """p + dp, exp(dtheta) R."""
     turned = so3.multiply(so3.quat_exp(np.ascontiguousarray(step[3:])), so3.from_matrix(np.ascontiguousarray(R_nb)))
     return p_n + step[:3], so3.matrix(so3.normalise(turned))

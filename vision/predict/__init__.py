@@ -1,4 +1,4 @@
-"""Predict and verify: the map's outlines are drawn at the prior, searched for, fitted and checked.
+"""Predict and verify: outlines drawn at the prior, searched, fitted, checked.
 
     motion, edge_points -> votes -> global_search, coarse_search -> fit -> final_check, presence -> verify
 

@@ -1,7 +1,7 @@
-"""From a position of the coarse search to a fit of the outlines.
+"""From a search position to a fit.
 
-fit -> final check (final_check.py) -> landmarks or an image that contradict go -> each other landmark is searched from the
-joint pose within its own map errors -> final check -> all together
+fit -> final check (final_check.py) -> landmarks or an image that contradict go -> each other landmark is searched from the joint
+pose within its own map errors -> final check -> all together
 """
 
 import math
@@ -43,7 +43,7 @@ _NO_WORSE = 1.1  # by so much may the position be less sure with more landmarks
 
 @dataclass(frozen=True, slots=True)
 class _Start:
-    """Pose and map errors (L, M), landmarks fitted; asked: of whose outline so much must agree; views: images used; remark."""
+    """Pose, map errors (L, M), fitted landmarks; asked: outlines that must agree; views: used; remark."""
 
     pose: Pose
     shift_m: Array
@@ -54,7 +54,7 @@ class _Start:
 
 
 class Fitter:
-    """Fits outlines in the images of one rig. gone: share of the map assumed to stand no longer."""
+    """Fits outlines in a rig's images; gone: assumed share of vanished landmarks."""
 
     def __init__(self, rig: StereoRig, pose: PoseConfig, config: VerifyConfig, most: int, gone: float) -> None:
         self._rig, self._config, self._most = rig, config, most
@@ -72,12 +72,12 @@ class Fitter:
     def fit(
         self, images: Images, marks: list[Landmark], hypothesis: Candidate, prior: Prior, among: Mask | None = None
     ) -> Fitted | str:
-        """The fit from a position, or why there is none; among: landmarks (L,) that may take part, all by default."""
+        """The fit from a position, or why none; among: landmarks (L,) that may take part."""
         first = [k for k in sorted(self._most_seen(hypothesis)) if among is None or among[k]]
         return self._settled(marks, hypothesis, _start(images, hypothesis, first, first), prior)
 
     def fit_one(self, images: Images, marks: list[Landmark], hypothesis: Candidate, prior: Prior) -> Fitted | None:
-        """The likeliest fit from one landmark of those with most votes, where all of them together give none."""
+        """The likeliest fit from one landmark, where all together give none."""
         asked = self._most_seen(hypothesis)
         tried = [
             self._settled(marks, hypothesis, _start(images, hypothesis, [k], sorted(asked)), prior) for k in asked[:_MOST_ALONE]
@@ -86,7 +86,7 @@ class Fitter:
         return max(fits, key=lambda one: one.odds, default=None)
 
     def joined(self, images: Images, marks: list[Landmark], hypothesis: Candidate, fitted: Fitted, prior: Prior) -> Fitted:
-        """The fit with all landmarks seen that it places, or itself; not where the position becomes less certain."""
+        """The fit with all landmarks it places, or itself; never less certain."""
         views: Views = (images.left, None if fitted.remark else images.right)
         fit, shift_m = fitted.pose, hypothesis.shift_m.copy()
         shift_m[fitted.used] = fit.shift_m
@@ -108,7 +108,7 @@ class Fitter:
         return again if _sigma_m(again.pose) < _NO_WORSE * _sigma_m(fit) else fitted
 
     def _found(self, views: Views, mark: Landmark, others: PoseEstimate) -> PoseEstimate | None:
-        """The pose from the others and a landmark together, with its map errors; None where it does not stand there."""
+        """Pose from the others and one landmark; None where it does not stand there."""
         pose = others.joint_p_n, others.joint_R_nb
         about = Prior(pose[0], so3.from_matrix(pose[1]), others.joint_covariance)
         alone = estimate_pose(self._rig, views, [mark], pose, about, self._alone)
@@ -118,7 +118,7 @@ class Fitter:
         return alone if present[0] else None
 
     def _settled(self, marks: list[Landmark], hypothesis: Candidate, start: _Start, prior: Prior) -> Fitted | str:
-        """The fit of what is left when landmarks and an image that contradict it are gone, or why there is none."""
+        """The fit without contradicting landmarks and image, or why none."""
         eye, v = eyes(self._rig)[int(start.views[0] is None)], self._config
         views, chosen, asked, remark = start.views, start.chosen, start.asked, start.remark
         before: tuple[Pose, Array] | None = None
@@ -155,7 +155,7 @@ class Fitter:
     def _estimated(
         self, views: Views, marks: list[Landmark], start: tuple[Pose, Array], before: tuple[Pose, Array] | None, prior: Prior
     ) -> PoseEstimate | NoPose:
-        """The fit from the pose and map errors (L, M) of the fit before, else, where there is none there, from the start."""
+        """The fit from the last fit's pose and map errors (L, M), else from the start."""
         if before is not None:
             pose, shift_m = before
             again = estimate_pose(self._rig, views, marks, pose, prior, self._again, shift_m)
@@ -165,20 +165,18 @@ class Fitter:
         return estimate_pose(self._rig, views, marks, pose, prior, self._pose, shift_m)
 
     def _most_seen(self, hypothesis: Candidate) -> list[int]:
-        """Landmarks that have votes, those with most first, as many as are fitted."""
         order = np.argsort(-np.where(self._seen(hypothesis), hypothesis.support, -1.0), kind="stable")
         return [int(k) for k in order[: min(self._most, int(self._seen(hypothesis).sum()))]]
 
     def _seen(self, hypothesis: Candidate) -> Mask:
-        """Landmarks (L,) that have votes."""
         return np.asarray(hypothesis.support > self._config.landmark_share * np.maximum(hypothesis.length, 1.0))
 
     def _answering(self, hypothesis: Candidate, chosen: list[int], asked: list[int]) -> list[int]:
-        """The landmarks of whose outline so much must agree: of one alone, which chance lays on edges somewhere, all in view."""
+        """Landmarks whose outline must agree: of one alone, all in view."""
         return asked if len(chosen) > 1 else sorted({*asked, *np.flatnonzero(~self._seen(hypothesis)).tolist()})
 
     def _present(self, marks: list[Landmark], fit: PoseEstimate, seen: FinalCheck) -> Mask:
-        """Landmarks (L,) that the final check finds where the fit says, and not far off the map."""
+        """Landmarks (L,) that the final check finds, near the map."""
         v = self._config
         whole = (seen.share >= v.landmark_found) & (seen.present > self._odds_whole)
         hidden = (seen.share >= v.hidden_found) & (seen.present > self._odds_hidden)
@@ -194,7 +192,7 @@ class Fitter:
         seen: FinalCheck,
         prior: Prior,
     ) -> float:
-        """verify.position_odds of a fit: landmarks fitted where the fit has them, the others in view where the map has them."""
+        """verify.position_odds: fitted landmarks as fitted, others as mapped."""
         others = [k for k in np.flatnonzero(hypothesis.length > 0.0).tolist() if k not in chosen]
         some = [marks[k] for k in others]
         as_mapped = replace(fit, shift_m=np.zeros((len(some), fit.shift_m.shape[1])))
@@ -205,7 +203,6 @@ class Fitter:
         return position_odds(np.concatenate((seen.present, rest)), self._gone, squared, fit.found, covered)
 
     def _pair_flaw(self, seen: FinalCheck) -> str:
-        """Why the right image does not belong to the left one; empty where it does."""
         if seen.apart is not None:
             du, dv, sigma = seen.apart
             limit = max(_PAIR_PX, 3.0 * self._pair_sigma_px) + 3.0 * sigma
@@ -218,7 +215,6 @@ class Fitter:
         return ""
 
     def _swapped(self, views: Views, marks: list[Landmark], start: _Start, chosen: list[int], prior: Prior) -> bool:
-        """Whether the outlines lie in both images once they are taken the other way round."""
         shift_m = start.shift_m[chosen]
         fit = estimate_pose(self._rig, views[::-1], marks, start.pose, prior, self._wide, shift_m)  # off by twice the disparity
         return isinstance(fit, PoseEstimate) and not self._pair_flaw(
@@ -231,26 +227,25 @@ def _start(images: Images, hypothesis: Candidate, chosen: list[int], asked: list
 
 
 def _off_map(marks: list[Landmark], fit: PoseEstimate) -> Array:
-    """How far off the map each landmark would have to be: chi-square (L,) of shift, rise and growth."""
+    """Chi-square (L,) of shift, rise and growth off the map."""
     sigma = np.array([(m.sigma_m, m.sigma_m, m.height_sigma_m, m.outline_sigma_m) for m in marks])
     error = fit.shift_m[:, : sigma.shape[1]]
     return np.asarray(np.sum(np.where(sigma > 0.0, error / np.maximum(sigma, 1e-9), 0.0) ** 2, axis=1))
 
 
 def _sigma_m(fit: PoseEstimate) -> float:
-    """How certain prior and images together are of the position: (tr P)^(1/2)."""
     return math.sqrt(float(np.trace(fit.joint_covariance[:3, :3])))
 
 
 def _pair_sigma_px(rig: StereoRig) -> float:
-    """By how much the two images may be shifted against each other by the calibration's uncertainty [px]."""
+    """Calibration sigma of the images' mutual shift [px]."""
     turn = 0.0 if rig.covariance_rc is None else float(rig.covariance_rc[3:5, 3:5].diagonal().max()) * rig.left.fy**2
     lenses = sum(float(c.covariance[2:4, 2:4].diagonal().max()) for c in (rig.left, rig.right) if c.covariance is not None)
     return math.sqrt(turn + lenses)
 
 
 def _moved_px(eye: Eye, marks: list[Landmark], hypothesis: Candidate, chosen: list[int], fit: PoseEstimate) -> float:
-    """How far the middles of the roofs moved from where the search found them: the median, px."""
+    """Median motion of roof middles from the search to the fit, px."""
     before = _middles(eye, marks, hypothesis.pose, hypothesis.shift_m[chosen])
     after = _middles(eye, marks, (fit.joint_p_n, fit.joint_R_nb), fit.shift_m)
     moved = np.linalg.norm(after - before, axis=1)
@@ -258,7 +253,7 @@ def _moved_px(eye: Eye, marks: list[Landmark], hypothesis: Candidate, chosen: li
 
 
 def _whole(fit: PoseEstimate) -> bool:
-    """Whether the images leave no direction open: along one (a strip) the search finds no position that a fit could leave."""
+    """Whether no direction is open."""
     return fit.directions is None
 
 

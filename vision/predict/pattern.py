@@ -1,11 +1,10 @@
-"""All outlines as one pattern: their common shift, at every turn and scale that the prior leaves open.
+"""All outlines as one pattern: common shift at every turn and scale of the prior.
 
     q = J_uv dx + e,   e ~ N(0, s^2)        (shift [px] of the outlines' middle; the map's error is one for all of them)
 
-Roofs without clean edges still have one position together (joint_score.py). A fit away from the summit, or with a rival as
-high, is refused; without a fit, a distinct summit is reported along the directions it measures. By chance the best of M
-positions is r times
-the second with a probability of about M^(-2 (r - 1)).
+For roofs without clean edges (joint_score.py). A fit away from the summit, or with an equal rival, is refused; without a fit, a
+distinct summit is reported along its directions. Of M positions the best is r times the second by chance with about M^(-2 (r -
+1)).
 """
 
 import math
@@ -59,7 +58,7 @@ def judged(
     *,
     alone: bool = True,
 ) -> Result:
-    """What predict and verify says, beside the pattern of all outlines; alone: whether one landmark alone may be a fix."""
+    """The result checked against the pattern; alone: one landmark may be a fix."""
     eye = eyes(rig)[int(images.only_right)]
     narrow = _only_shifts(move, config) and config.sigmas * move.shift_px <= limit_px(eye.camera, config)
     many = result.fix is not None and len(result.fix.landmarks) > _HALF * len(result.regions)
@@ -84,15 +83,13 @@ def judged(
 
 
 def _only_shifts(move: Motion, config: CoarseConfig) -> bool:
-    """Whether small roofs are seen from a pose that leaves their common shift open and no more."""
+    """Whether small roofs are seen with only a common shift open."""
     ends_px = config.sigmas * max(move.turn_rad, move.log_scale) * move.radius
     return move.roof_px < _ROOF_PX and ends_px <= _STIFF_PX
 
 
 def best_shift(eye: Eye, images: Images, marks: Sequence[Landmark], move: Motion, config: CoarseConfig) -> Summit | str:
-    """The likeliest shift, turn and scale that the prior allows; the reason where they are too many, empty where nothing is in
-    view.
-    """
+    """Likeliest shift, turn and scale, or the reason; empty with nothing in view."""
     image = images.right if images.only_right else images.left
     assert image is not None
     found = _grid(move, config)
@@ -114,9 +111,9 @@ def best_shift(eye: Eye, images: Images, marks: Sequence[Landmark], move: Motion
 
 
 def _grid(move: Motion, config: CoarseConfig) -> tuple[int, Array, Array, Array] | str:
-    """Reduction of the image, turns and log scales (T, 2), shifts u (U,) and v (V,) [px] of the search, or the reason for none.
+    """Reduction, turns and log scales (T, 2), shifts u (U,), v (V,) [px], or the reason.
 
-    Neighbours differ by _STIFF_PX at the outlines' ends; the image is reduced until roofs are narrow and the work is small.
+    Neighbours differ by _STIFF_PX at the ends; the image is reduced until roofs are narrow.
     """
     size = 1
     while move.roof_px / size > _WIDEST_PX:
@@ -140,7 +137,7 @@ def _grid(move: Motion, config: CoarseConfig) -> tuple[int, Array, Array, Array]
 
 
 def _as_fix(result: Result, rig: StereoRig, marks: Sequence[Landmark], move: Motion, best: Summit, *, alone: bool) -> Result:
-    """The summit as a fix: the middle of the outlines in view lies where it was seen. rig: whose left camera saw it."""
+    """The summit as a fix of the outlines' middle; rig: whose left camera saw it."""
     p_nc, R_nc = rig.camera_pose(*move.pose(move.gain @ best.q))
     bodies = Prisms.of(marks)
     roofs = bodies.roofs

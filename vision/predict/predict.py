@@ -41,10 +41,7 @@ _DISTANCES = (-2.0, -1.0, 1.0, 2.0)  # standard deviations of the prior, from wh
 
 
 class PredictConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """most_voting, most_fitted: landmarks, those with most outline in view first; others that stand join the fit.
-
-    most_together: of all outlines as one pattern.
-    """
+    """most_voting, most_fitted: landmarks, those most in view first; the others join the fit; most_together: as one pattern."""
 
     coarse: CoarseConfig = CoarseConfig()
     verify: VerifyConfig = VerifyConfig()
@@ -61,7 +58,7 @@ class _Refused(NamedTuple):
 
 
 class _Decided(NamedTuple):
-    """A position and its fit, its grade, and why it is no better; rival: score of the next position over the best one's."""
+    """A position, its fit and grade, reason; rival: next score over the best."""
 
     hypothesis: Candidate
     fitted: Fitted
@@ -74,7 +71,7 @@ class PredictPath:
     """Images of one rig, searched where the prior says."""
 
     def __init__(self, rig: StereoRig, config: PredictConfig, pose: PoseConfig, gone: float, *, alone: bool = True) -> None:
-        """gone: share of the map assumed to stand no longer; alone: whether one landmark alone may be a fix."""
+        """gone: assumed share of vanished landmarks; alone: one landmark may be a fix."""
         self._rig, self._config = rig, config
         self._fitter = Fitter(rig, pose, config.verify, config.most_fitted, gone)
         self._waiting = Waiting(config.verify)
@@ -83,18 +80,18 @@ class PredictPath:
     def moves(
         self, images: Images, near: Sequence[Landmark], prior: Prior, most: int | None = None
     ) -> tuple[list[Landmark], Motion] | None:
-        """The landmarks that may be in view, at most `most`, and how the prior lets them move; None where there are none."""
+        """Landmarks that may be in view (at most `most`) and their motion by the prior, or None."""
         eye = self._eye(images)
         marks = _in_view(eye, near, prior, self._limit_px(eye), most or self._config.most_voting)
         move = motion(eye, marks, prior) if marks else None
         return None if move is None else (marks, move)
 
     def narrow(self, images: Images, move: Motion, share: float = _BEYOND) -> bool:
-        """Whether 3 sigma of the shift lie within `share` of the search's limit, and those of the turn within its own."""
+        """Whether 3 sigma of shift and turn lie within `share` of the search's limits."""
         return not self.too_wide(images, move, share)
 
     def too_wide(self, images: Images, move: Motion, share: float = _BEYOND) -> str:
-        """What of the prior is too wide for the search, and what would do; empty where nothing is."""
+        """Which part of the prior is too wide, and what would do; empty for none."""
         c, sigmas = self._config.coarse, self._config.coarse.sigmas
         turn, most_turn = sigmas * move.turn_rad, _TURNED_BEYOND * math.radians(c.turn_deg)
         if turn > most_turn:
@@ -106,7 +103,7 @@ class PredictPath:
         return ""
 
     def locate(self, images: Images, marks: list[Landmark], move: Motion, t_ns: int, prior: Prior) -> Result:
-        """Fix or reason. Searched is what `move` allows, which may be less than what the prior of the fit leaves open."""
+        """Fix or reason; searched is what `move` allows, perhaps less than the prior."""
         eye, candidates = self._eye(images), self._candidates(images, marks, move)
         found = self._decide(images, marks, candidates, prior)
         hypothesis = found.hypothesis if isinstance(found, _Decided) else candidates[0] if candidates else None
@@ -126,9 +123,7 @@ class PredictPath:
         return Result(fix, report_of(t_ns, "fixed", detail, said, fit.residual_px), tuple(said), fit)
 
     def stands_out(self, images: Images, near: Sequence[Landmark], here: PoseEstimate, steps: Array, prior: Prior) -> bool:
-        """Whether a position is decidedly likelier than those some steps (S, 3) from it, each fitted to its own view, and
-        accepted by itself.
-        """
+        """Whether a position is decidedly likelier than those at steps (S, 3), each fitted to its own view."""
         if len(steps) > _MOST_STEPS:
             return False
         eye, v = self._eye(images), self._config.verify
@@ -145,18 +140,15 @@ class PredictPath:
         return first.odds >= v.odds and verify.same_position(likeliest, first, v)
 
     def _fit_at(self, images: Images, marks: list[Landmark], hypothesis: Candidate, prior: Prior) -> Fitted | str:
-        """The fit from a position, of one landmark where all of them together give none."""
         fitted = self._fitter.fit(images, marks, hypothesis, prior)
         return fitted if isinstance(fitted, Fitted) else self._fitter.fit_one(images, marks, hypothesis, prior) or fitted
 
     def _candidates(self, images: Images, marks: list[Landmark], move: Motion) -> list[Candidate]:
-        """Positions where the outlines may lie, best first."""
         image = images.right if images.only_right else images.left
         assert image is not None
         return Search(self._eye(images), marks, move, self._config.coarse).candidates(image)
 
     def _fit(self, images: Images, marks: list[Landmark], hypothesis: Candidate, prior: Prior) -> Fitted | str:
-        """The fit from a position; small landmarks are searched again where the large ones put them."""
         eye, voted = self._eye(images), self._trusted(hypothesis)
         large = voted & ~small_landmarks.small(marks, eye, hypothesis.pose)
         mixed = 0 < large.sum() < voted.sum()
@@ -172,7 +164,7 @@ class PredictPath:
         return known
 
     def _decide(self, images: Images, marks: list[Landmark], candidates: list[Candidate], prior: Prior) -> _Decided | _Refused:
-        """The one position that is left of those that were searched out, best first: by its votes, and by its fit."""
+        """The one position left of those searched, by votes and fit."""
         if not candidates:
             return _Refused("not_found", "nothing of the outlines in view")
         v, best = self._config.verify, candidates[0]
@@ -204,7 +196,7 @@ class PredictPath:
         return _Decided(hypotheses[at], outcome, grade, reason, evidence.rival)
 
     def _confirmed(self, found: _Decided, marks: list[Landmark], t_ns: int, prior: Prior) -> _Decided | _Refused:
-        """What is weak waits for an image from elsewhere that agrees; what the image before contradicts for the next one."""
+        """Weak positions wait for an agreeing image; so do those that the last image contradicts."""
         fitted, weak = found.fitted, found.grade == "weak"
         if found.grade == "refused":
             return _Refused("no_pose", found.reason)
@@ -218,7 +210,6 @@ class PredictPath:
         return _Refused("waiting", f"{reason}: {doubt}") if doubt else found
 
     def _trusted(self, hypothesis: Candidate) -> Mask:
-        """Landmarks (L,) that count as seen."""
         return np.asarray(hypothesis.support > self._config.verify.landmark_share * np.maximum(hypothesis.length, 1.0))
 
     def _eye(self, images: Images) -> Eye:
@@ -229,7 +220,7 @@ class PredictPath:
 
 
 def nearer_and_farther(marks: list[Landmark], hypothesis: Candidate, seen: Mask, prior: Prior) -> list[Candidate]:
-    """A position with one landmark in view (L,), from other distances to the middle m of its roof, fixed in the image.
+    """A position with one landmark in view (L,), from other distances to its roof's middle m.
 
     p = m + exp(k s) (p - m),    k = -2, -1, 1, 2,    s: standard deviation of |p - m| by the prior, over |p - m|
     """
@@ -243,7 +234,7 @@ def nearer_and_farther(marks: list[Landmark], hypothesis: Candidate, seen: Mask,
 
 
 def _in_view(eye: Eye, near: Sequence[Landmark], prior: Prior, limit_px: float, most: int) -> list[Landmark]:
-    """At most `most` landmarks of whose roof something comes within limit_px of the image, those with most in view first."""
+    """At most `most` landmarks with roofs within limit_px of the image, most in view first."""
     pinhole, p_n = straight(eye), np.asarray(prior.p_n, dtype=float)
     p_nk, R_nk = pinhole.pose(p_n, prior.R_nb)
     ends, mark = roofs_in_view(pinhole, near, (p_n, prior.R_nb), limit_px)
@@ -260,7 +251,6 @@ def _in_view(eye: Eye, near: Sequence[Landmark], prior: Prior, limit_px: float, 
 
 
 def _settled(one: RegionReport, used: tuple[str, ...]) -> RegionReport:
-    """Identified is what the fix rests on."""
     if one.state != "open":
         return one
     done = one.landmark in used
@@ -268,7 +258,7 @@ def _settled(one: RegionReport, used: tuple[str, ...]) -> RegionReport:
 
 
 def _as_fitted(found: _Decided) -> Candidate:
-    """The position with pose and map errors that the fit has found: a search is good to a few pixels only."""
+    """The position with the fit's pose and map errors."""
     hypothesis, fit = found.hypothesis, found.fitted.pose
     shift_m = hypothesis.shift_m.copy()
     shift_m[found.fitted.used] = fit.shift_m
@@ -276,7 +266,6 @@ def _as_fitted(found: _Decided) -> Candidate:
 
 
 def _reports(eye: Eye, marks: list[Landmark], hypothesis: Candidate, trusted: Mask) -> list[RegionReport]:
-    """One line for each landmark that would be in view."""
     p_nk, R_nk = eye.pose(*hypothesis.pose)
     bodies, said = Prisms.of(marks), []
     roofs = bodies.roofs
@@ -294,7 +283,7 @@ def _reports(eye: Eye, marks: list[Landmark], hypothesis: Candidate, trusted: Ma
 
 
 def _boxes(eye: Eye, px: Array, offsets: Indices) -> list[tuple[int, int, int, int]]:
-    """Left, top, width, height of each landmark in the image, of corners px[offsets[k] : offsets[k + 1]] before the camera."""
+    """Left, top, width, height per landmark of corners px[offsets[k] : offsets[k + 1]] before the camera."""
     good, limit = np.isfinite(px).all(axis=1, keepdims=True), np.array([eye.camera.width, eye.camera.height])
     low = np.minimum.reduceat(np.where(good, px, np.inf), offsets[:-1])
     high = np.maximum.reduceat(np.where(good, px, -np.inf), offsets[:-1])

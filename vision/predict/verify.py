@@ -1,11 +1,11 @@
-"""Verification of a position; in doubt there is no fix.
+"""Verification of a position; in doubt no fix.
 
     share   = sum support / sum length          of all landmarks in view, not of the chosen ones
     rival   = (score of another position) / score          where it is high, both are fitted, and their odds compared
     agree   : |x (-) x0 now  -  x (-) x0 then|^2 < chi2,   over the covariances of both fits and the prior's drift since
 
-A weak position waits until the next image shows the same error of the prior. Where that one shows another error, even a certain
-one waits for a third, unless it is much likelier.
+A weak position waits for an image with the same error of the prior; after another error even a certain one waits, unless much
+likelier.
 """
 
 import math
@@ -95,10 +95,9 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """A fit; used: indices of its landmarks; asked: of all that the final check could see; remark: on an image left out.
+    """used: landmarks; asked: all the final check could see; remark: on an image left out.
 
-    kept: share of the asked outline that agreed; checked: found by the final check, in the worse image; middles (L, 2) px: of all
-    roofs; odds: ln, against a position of chance.
+    kept: share of the asked outline that agreed; checked: in the worse image; middles (L, 2) px; odds: ln, against chance.
     """
 
     pose: PoseEstimate
@@ -121,13 +120,12 @@ def flaw(evidence: Evidence, config: VerifyConfig) -> str:
 
 
 def position_odds(present: Array, gone: float, squared: float, found: float, covered: float) -> float:
-    """ln of the odds of a position against one of chance.
+    """ln odds of a position against chance.
 
     (sum_j ln ((1 - g) LR_j + g) - d^2 / 2) / a + n (f ln (r / c) + (1 - f) ln ((1 - r) / (1 - c))) - b h
 
-    present (L,): ln LR of each landmark in view; gone: g; squared: d^2 of pose and landmarks from prior and map; found: f,
-    share of the outlines, r at right positions and c at chance; a: repetition of the same evidence; n: independent pieces of
-    outline; covered: h.
+    present (L,): ln LR in view; gone: g; squared: d^2 from prior and map; found: f, outline share, r at right positions, c by
+    chance; a: repetition of evidence; n: independent pieces; covered: h.
     """
     r, c = _FOUND_RIGHT, _FOUND_CHANCE
     there = float(np.logaddexp(math.log(1.0 - gone) + present, math.log(gone)).sum())
@@ -136,10 +134,10 @@ def position_odds(present: Array, gone: float, squared: float, found: float, cov
 
 
 def decided(tried: Sequence[Fitted | str], config: VerifyConfig) -> Fitted | str:
-    """The one fit left of several positions, or the reason for none.
+    """The one fit left, or why none.
 
-    Of fits at the likeliest position and nearly as likely the most certain one counts, with no more directions than the
-    likeliest. Where several positions lead to one fit, it has the least kept share of them.
+    Of nearly equally likely fits the most certain counts, with no more directions than the likeliest; several positions to one
+    fit: their least kept share.
     """
     fits = [one for one in tried if not isinstance(one, str)]
     if not fits:
@@ -168,12 +166,11 @@ def decided(tried: Sequence[Fitted | str], config: VerifyConfig) -> Fitted | str
 
 
 def _measured(one: Fitted) -> int:
-    """How many directions of the pose the images measure."""
     return len(np.eye(6) if one.pose.directions is None else one.pose.directions)
 
 
 def _decisive(other: Fitted, config: VerifyConfig) -> float:
-    """ln of the odds by which another position must be less likely: one house more or less in a row of equal ones."""
+    """ln odds by which another position must be less likely."""
     return config.decides if other.odds < config.odds else config.decides_alike
 
 
@@ -220,16 +217,16 @@ class _Held:
         return cls(t_ns, error, fit.joint_covariance, prior, fitted.odds, sure)
 
     def view_change(self, now: Prior, points_n: Array) -> float:
-        """By which angle, in the body's axes, the lines of sight to points (N, 3) have turned until now: the mean, rad."""
+        """Mean turn [rad] of the lines of sight to points (N, 3), in body axes."""
         then_b, now_b = ((points_n - prior.p_n) @ prior.R_nb for prior in (self.prior, now))
         across = np.linalg.norm(np.cross(then_b, now_b), axis=1)
         return float(np.mean(np.arctan2(across, np.sum(then_b * now_b, axis=1))))
 
 
 class Waiting:
-    """The position of the image before, a function of the requests alone.
+    """The last image's position, a function of the requests alone.
 
-    One image may be examined twice, by prediction and by segmentation; both use the image before.
+    Prediction and segmentation of an image both use the one before.
     """
 
     def __init__(self, config: VerifyConfig) -> None:
@@ -242,26 +239,25 @@ class Waiting:
         self._nothing_ns = t_ns
 
     def fixed(self, fitted: Fitted, t_ns: int, prior: Prior) -> None:
-        """A fix was made: it makes no other one wait, but a weak position that agrees with it is accepted."""
+        """After a fix: it makes none wait, but confirms weak positions."""
         self._held, self._nothing_ns = _Held.of(fitted, t_ns, prior, sure=True), None
 
     def holds(self, t_ns: int, odds: float) -> bool:
-        """Whether the image before t_ns showed a weak position, and not a much less likely one than one of these odds."""
+        """Whether the image before t_ns showed a weak position not much less likely than `odds`."""
         before = self._before(t_ns)
         return before is not None and not before.sure and before.odds > odds - self._config.decides
 
     def _before(self, t_ns: int) -> _Held | None:
-        """The position of the image before t_ns, if that was not long ago."""
         held = self._held
         if held is None or not 0 < t_ns - held.t_ns <= self._config.memory_s * 1e9:
             return None
         return None if self._nothing_ns is not None and self._nothing_ns < t_ns else held
 
     def doubt(self, fitted: Fitted, t_ns: int, prior: Prior, roofs_n: Array, *, weak: bool) -> str:
-        """Why the position held before does not confirm this one; empty where it shows the same error of the prior.
+        """Why the held position does not confirm this one; empty for the same prior error.
 
-        One landmark must reach odds over both images together. Two weak positions confirm each other only where the lines of
-        sight to the roofs (L, 3) have turned: a false match recurs in the same view.
+        One landmark needs odds over both images; two weak positions need turned lines of sight to roofs (L, 3): a false match
+        recurs in the same view.
         """
         before, now = self._before(t_ns), _Held.of(fitted, t_ns, prior, sure=False)
         alone = before is not None and len(fitted.used) == 1 and before.odds + fitted.odds < self._config.both_odds

@@ -1,4 +1,4 @@
-"""Records of the pipeline: the report with the reason of every rejection, images of each stage.
+"""Records: report with reasons of rejection, images of each stage.
 
 May import pose and the layers below it.
 """

@@ -12,7 +12,7 @@ from vision.image.rectify import Image
 
 @dataclass(frozen=True, slots=True)
 class Images:
-    """As the cameras took them, 8 bit, None where there is no good one; remark: what is wrong with the other."""
+    """Raw images, 8 bit, None where unusable; remark: what is wrong with the other."""
 
     left: Image | None
     right: Image | None

@@ -1,4 +1,4 @@
-"""What became of a pair of images: the fix, or why there is none, and one line for each region or landmark."""
+"""Result of a pair: fix or reason, a line per region or landmark."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -34,7 +34,7 @@ class RegionReport(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """fix or None, the report of why (not), one line for each region, and the pose fit behind the fix."""
+    """fix or None, its report, a line per region, and the pose fit."""
 
     fix: LandmarkFix | None
     report: VisionReport
@@ -78,7 +78,7 @@ def report_of(
 
 
 def with_regions(result: Result, regions: Sequence[RegionReport]) -> Result:
-    """The result at the pose from identified regions: after its lines those of the regions that were not identified."""
+    """The result plus the lines of regions that were not identified."""
     said, r = (*result.regions, *(one for one in regions if one.state != "identified")), result.report
     return replace(result, regions=said, report=report_of(r.t_ns, r.outcome, r.detail, said, r.residual_px))
 

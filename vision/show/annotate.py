@@ -16,7 +16,7 @@ _SHIFT = 4  # OpenCV draws in sixteenths of a pixel
 
 
 def annotate(image: Image, measured: Sequence[Measured], unmeasured: Sequence[Unmeasured] = ()) -> NDArray[np.uint8]:
-    """BGR image, twice as large where it is small: outlines, numbers as in the table, width x length and distance."""
+    """BGR image, enlarged if small: outlines, numbers, width x length, distance."""
     scale = 1 if image.shape[1] > 1000 else 2
     canvas = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image
     canvas = cv2.resize(canvas, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
@@ -38,7 +38,6 @@ def _outline(canvas: Image, outline: Array, scale: int, colour: tuple[int, int, 
 
 
 def _label(canvas: Image, lines: Sequence[str], middle: tuple[int, int], taken: list[tuple[int, int, int, int]]) -> None:
-    """Text on a dark ground around the middle, moved down where another label stands already."""
     size, pad, height = 0.42, 3, 14
     width = max(cv2.getTextSize(line, _FONT, size, 1)[0][0] for line in lines) + 2 * pad
     tall = height * len(lines) + 2 * pad

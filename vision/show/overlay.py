@@ -1,4 +1,4 @@
-"""The map drawn into an image from a pose, and the distance of its outlines from the image's edges, in px along the normals."""
+"""The map drawn into an image, and outline residuals in px along normals."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -34,9 +34,7 @@ _MAGNIFIED = 10.0  # residuals are drawn so much longer
 
 @dataclass(frozen=True, slots=True)
 class Residuals:
-    """Points (N, 2) on the outlines of one landmark, unit normals (N, 2), and offset_px (N,) of the seen edge, NaN: none in
-    reach.
-    """
+    """Points, unit normals (N, 2) of a landmark's outlines, offset_px (N,) of the seen edge, NaN: none."""
 
     id: str
     px: Array
@@ -50,7 +48,7 @@ class Residuals:
 
     @property
     def spread_px(self) -> float:
-        """1.4826 median |offset|, the RMS without points that caught another thing's edge; NaN where nothing is found."""
+        """1.4826 median |offset|, robust RMS; NaN without edges."""
         offsets = self.offset_px[np.isfinite(self.offset_px)]
         return 1.4826 * float(np.median(np.abs(offsets))) if len(offsets) else float("nan")
 
@@ -58,7 +56,7 @@ class Residuals:
 def outline_residuals(
     image: Canvas, camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[Landmark], reach_px: float = _REACH_PX
 ) -> list[Residuals]:
-    """Residuals of the roof outlines in view, in an image (H, W) or (H, W, 3), within reach_px."""
+    """Residuals of roof outlines in an image (H, W) or (H, W, 3), within reach_px."""
     landmarks = in_view(camera, p_nc, R_nc, landmarks)
     edges = _edges(camera, p_nc, R_nc, landmarks)
     along = np.gradient(edges.px, axis=1) if len(edges.px) else edges.px
@@ -77,9 +75,7 @@ def outline_residuals(
 
 
 def _edge_offsets(image: Canvas, px: Array, normal: Array, reach_px: float) -> Array:
-    """Distance [px] along the normals (N, 2) to the steepest change of all channels, to a parabola's summit; NaN where there is
-    none.
-    """
+    """Distance [px] along normals (N, 2) to the steepest change, sub-pixel; NaN without."""
     s = np.arange(-reach_px, reach_px + _STEP_PX, _STEP_PX)
     beside = normal[:, ::-1] * np.array([1.0, -1.0])
     positions = (
@@ -104,11 +100,11 @@ def _edge_offsets(image: Canvas, px: Array, normal: Array, reach_px: float) -> A
 
 
 def expected_px(camera: CameraModel, p_n: Array, p_nc: Array, R_nc: Array, covariance: Array, landmark: Landmark) -> float:
-    """sigma of a residual along any normal, by pose and landmark; NaN where its roof is hidden.
+    """sigma of a residual by pose and landmark; NaN for a hidden roof.
 
         du = J R_nc^T (-dp + [X - p_n]x dtheta + dX),   sigma^2 = tr(cov(du)) / 2
 
-    covariance: (6, 6) of p_n and rotation about the axes of n; X: middle of the roof; J: of the projection.
+    covariance: (6, 6) of p_n and rotation about n; X: roof middle; J: of the projection.
     """
     lever = np.array([*landmark.centre_n, landmark.roof_d]) - p_n
     jacobian = camera.project_jacobian(((p_n + lever - p_nc) @ R_nc)[None])[0] @ R_nc.T
@@ -128,9 +124,9 @@ def draw_overlay(
     residuals: Sequence[Residuals] = (),
     caption: Sequence[str] = (),
 ) -> Canvas:
-    """A copy (H, W, 3) of the image with the landmarks' visible edges and names; identified ones (by id) stand out.
+    """A copy (H, W, 3) with visible edges and names; identified ids stand out.
 
-    residuals: strokes ten times their length, spread beside the name; caption: lines at the lower left.
+    residuals: strokes of ten times their length; caption: lines at the lower left.
     """
     canvas: Canvas = np.array(image if image.ndim == 3 else np.repeat(image[:, :, None], 3, axis=2), order="C")
     scale = max(1.0, min(canvas.shape[:2]) / 480.0)
@@ -152,7 +148,7 @@ def draw_overlay(
 
 
 def add_strip(canvas: Canvas, parts: Sequence[str]) -> Canvas:
-    """The image (H, W, 3) with a dark strip of text below, its parts spread evenly; height and width become even for videos."""
+    """The image (H, W, 3) with a text strip below; even size for videos."""
     height, width = canvas.shape[:2]
     size = max(11, round(14 * max(1.0, min(height, width) / 480.0)))
     while size > 8 and sum(_text_size(part, size)[0] for part in parts) > 0.95 * width:
@@ -184,7 +180,7 @@ def in_view(camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[L
 
 
 class _Edges(NamedTuple):
-    """E edges as P points each: landmark (E,), kind (E,), px (E, P, 2), and which points (E, P) are seen."""
+    """E edges of P points: landmark, kind (E,), px (E, P, 2), seen (E, P)."""
 
     landmark: NDArray[np.int64]
     kind: NDArray[np.int64]
@@ -209,7 +205,7 @@ def _edges(camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[La
 
 
 def _lines(camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[Landmark]) -> list[list[tuple[Kind, Array]]]:
-    """Per landmark its visible edges in the image: kind and points (P, 2), cut where they are hidden or hidden."""
+    """Visible edges per landmark: kind and points (P, 2), cut where hidden."""
     lines: list[list[tuple[Kind, Array]]] = [[] for _ in landmarks]
     for landmark, kind, px, shown in zip(*_edges(camera, p_nc, R_nc, landmarks), strict=True):
         breaks = np.flatnonzero(~shown)
@@ -220,7 +216,7 @@ def _lines(camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[La
 
 
 def _draw_lines(canvas: Canvas, lines: list[tuple[Kind, Array]], colour: Bgr, width: float) -> None:
-    """Light on dark, so that it shows on any ground; the roof is thicker than the sides."""
+    """Light on dark lines; roofs thicker than sides."""
     for under in (True, False):
         for kind, px in lines:
             thick = max(1, round(width if kind == Kind.ROOF else width / 2)) + (2 if under else 0)
@@ -246,13 +242,11 @@ def _font() -> "cv2.FontFace":
 
 
 def _text_size(text: str, size: int) -> tuple[int, int]:
-    """Width, and height of a line."""
     _, _, width, _ = cv2.getTextSize((10_000, 1000), text, (0, 0), _font(), size, 500)
     return width, round(1.25 * size)
 
 
 def _write(canvas: Canvas, text: str, left: int, top: int, size: int, colour: Bgr) -> None:
-    """Text on a darkened ground whose upper left corner is (left, top)."""
     width, height = _text_size(text, size)
     pad = max(2, size // 4)
     ground = canvas[max(top, 0) : max(top + height + pad, 0), max(left - pad, 0) : max(left + width + pad, 0)]
@@ -275,7 +269,6 @@ def _draw_caption(canvas: Canvas, caption: Sequence[str], scale: float) -> list[
 def _draw_name(
     canvas: Canvas, text: str, lines: list[tuple[Kind, Array]], colour: Bgr, scale: float, taken: list[tuple[int, int, int, int]]
 ) -> None:
-    """At the middle of the visible roof, or beside, above, under it; left out without room."""
     roof = [px for kind, px in lines if kind == Kind.ROOF]
     if not roof:
         return

@@ -1,4 +1,4 @@
-"""Rendered stereo images of worlds whose truth is known: world, ground, camera effects, scenes from a seed.
+"""Rendered stereo images of known worlds: world, ground, camera effects, scenes.
 
 May import models, nothing else of vision.
 """

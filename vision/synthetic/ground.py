@@ -1,4 +1,4 @@
-"""The ground: level, textured, or an image.
+"""Level ground, textured or an image.
 
     colour(n, e) = tint * cover(n, e) (1 + contrast * detail(n, e))
 
@@ -40,9 +40,7 @@ _BUSH = np.array([34.0, 62.0, 46.0])
 
 @dataclass(frozen=True)
 class Ground:
-    """A level ground at down = `down_m`; turn_rad, shift_m: of the textures; tint_bgr: factors; detail_contrast: per unit of
-    `detail`.
-    """
+    """Level ground at `down_m`; turn_rad, shift_m: of textures; tint_bgr: factors; detail_contrast: per unit."""
 
     cover: Grid = field(repr=False)
     detail: Grid = field(repr=False)
@@ -68,7 +66,7 @@ class Ground:
 
     @classmethod
     def of_image(cls, image: NDArray[np.uint8], metres_per_px: float, detail_contrast: float = 0.0) -> Self:
-        """An image (H, W, 3) taken from above, its middle square mirrored on all sides, north up."""
+        """An image (H, W, 3) from above, north up, its middle square mirrored on all sides."""
         side = min(image.shape[:2])
         top, left = (image.shape[0] - side) // 2, (image.shape[1] - side) // 2
         size = 1 << (side - 1).bit_length()
@@ -93,7 +91,6 @@ class Ground:
 
 @cache
 def _detail() -> Grid:
-    """Grass and soil: noise of all wavelengths, tufts of 10 to 40 cm, stones."""
     rng = np.random.default_rng(20141)
     n = DETAIL_SIZE
     tufts = np.tanh(1.5 * noise(n, 0.6, rng, finest=6.0, coarsest=40.0))
@@ -102,7 +99,6 @@ def _detail() -> Grid:
 
 
 def _stones(texture: Grid, count: int, rng: np.random.Generator) -> Grid:
-    """Pale and dark small landmarks of 3 to 30 cm, few of them large."""
     n = len(texture)
     spots = np.zeros((n, n), dtype=np.float32)
     for s, t, radius, shade in zip(
@@ -120,7 +116,6 @@ def _sizes(least: float, most: float, count: int, rng: np.random.Generator) -> A
 
 @cache
 def _cover() -> Grid:
-    """Fields of different growth, paths along some of their borders, single bushes; everything uneven."""
     rng = np.random.default_rng(20142)
     n = COVER_SIZE
     owner, border = _fields(26, rng)
@@ -140,7 +135,7 @@ def _cover() -> Grid:
 
 
 def _fields(count: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], Grid]:
-    """A periodic Voronoi division with ragged borders: the field each texel belongs to, and its distance to the border."""
+    """Periodic Voronoi cells with ragged borders: field of each texel, distance to the border."""
     n = COVER_SIZE
     positions = rng.uniform(0, n, (count, 2))
     wander = 7.0 * np.stack([noise(n, 1.6, rng), noise(n, 1.6, rng)])

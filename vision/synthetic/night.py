@@ -1,7 +1,4 @@
-"""The same world by night for a thermal camera: warmth, no shadows, no colours.
-
-Roofs are colder (metal, tiles) or warmer (heated) than the ground; walls and trees a little warmer, cars cold or just driven.
-"""
+"""The world by night for a thermal camera: warmth, no shadows or colours."""
 
 from dataclasses import replace
 from typing import Final
@@ -31,7 +28,7 @@ def night(world: World, rng: np.random.Generator) -> World:
 
 
 def counts(image: Image) -> NDArray[np.uint16]:
-    """What a camera of 14 bits in 16 sends (h, w) of a rendered image (h, w, 3)."""
+    """14 bits in 16 (h, w) of a rendered image (h, w, 3)."""
     return np.asarray(_ZERO + _COUNTS * image.sum(axis=2, dtype=np.uint16), dtype=np.uint16)
 
 
@@ -48,7 +45,7 @@ def _thing(appearance: Appearance, rng: np.random.Generator) -> Appearance:
 
 
 def _wall(level: float) -> tuple[float, float, float]:
-    """A wall gives off warmth of its own: it is as bright as that, though it sees but a part of the sky."""
+    """A wall's own warmth, independent of the sky."""
     return _warmth(level / SKY)
 
 

@@ -1,4 +1,4 @@
-"""Images of a World: render, render_pair, and the solid of each pixel; the same seed gives the same bytes on one machine."""
+"""Images of a World; the same seed gives the same bytes on one machine."""
 
 import math
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ _MARGIN_PX = 3.0  # beyond the image, where polygons are cut
 
 @dataclass(frozen=True)
 class Lens:
-    """A camera's rays (h, w, 2) = (x/z, y/z), squared radius (h, w) with 1 in the farthest corner, limits and piece of a View."""
+    """Rays (h, w, 2) = (x/z, y/z), squared radius (h, w), 1 in the farthest corner, limits and piece of a View."""
 
     rays: Grid
     radius2: Grid
@@ -34,7 +34,7 @@ class Lens:
 
 @lru_cache(maxsize=8)
 def lens(camera: CameraModel) -> Lens:
-    """Undoes the lens for every pixel, once a camera. Raises ValueError where the distortion folds the image."""
+    """Undistorted rays of every pixel, once a camera. Raises ValueError for a folding distortion."""
     u, v = _knots(camera.width), _knots(camera.height)
     plane = camera.undistort(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)).reshape(len(v), len(u), 2)
     if not np.isfinite(plane).all():
@@ -67,12 +67,11 @@ def render_pair(
 
 
 def render_labels(world: World, camera: CameraModel, p_nc: Array, R_nc: Array) -> Labels:
-    """Which solid of world.solids fills most of each pixel (h, w): landmarks first, then clutter; -1 is the ground."""
+    """Solid that fills most of each pixel (h, w): landmarks, then clutter; -1: ground."""
     return _light(world, camera, p_nc, R_nc, Conditions())[1]
 
 
 def _light(world: World, camera: CameraModel, p_nc: Array, R_nc: Array, conditions: Conditions) -> tuple[Grid, Labels]:
-    """Light before it meets the lens, and labels."""
     through_lens, sun, ground = lens(camera), world.sun, world.ground
     size = camera.height, camera.width
     p_nc, R_nc = np.ascontiguousarray(p_nc, dtype=np.float64), np.ascontiguousarray(R_nc, dtype=np.float64)
@@ -99,7 +98,6 @@ def _light(world: World, camera: CameraModel, p_nc: Array, R_nc: Array, conditio
 
 
 def _to_ground(world: World, p_nc: Array, R_nc: Array) -> tuple[Array, float]:
-    """The map from rays to the ground's textures (see faces.py), and the height above it."""
     ground, (along, across) = world.ground, world.ground.axes_n
     reach, down = ground.down_m - float(p_nc[2]), np.array([0.0, 0.0, 1.0])
     s, t = along @ p_nc + ground.shift_m[0], across @ p_nc + ground.shift_m[1]
@@ -108,11 +106,9 @@ def _to_ground(world: World, p_nc: Array, R_nc: Array) -> tuple[Array, float]:
 
 
 def _knots(size: int) -> Array:
-    """Pixels at which rays are exact, from the first pixel's outer edge to the last one's."""
     return np.linspace(-0.5, size - 0.5, math.ceil(size / _GRID_PX) + 1)
 
 
 def _hats(knots: Array, size: int) -> Array:
-    """Weights (size, knots) of linear interpolation at the pixels' centres."""
     position = (np.arange(size) - knots[0]) / (knots[1] - knots[0])
     return np.asarray(np.maximum(0.0, 1.0 - np.abs(position[:, None] - np.arange(len(knots))[None, :])))

@@ -1,4 +1,4 @@
-"""Stereo rigs as they are mounted, and rigs as they truly are: parameters drawn within their covariance."""
+"""Stereo rigs as calibrated and as true, drawn within their covariance."""
 
 import math
 
@@ -21,8 +21,8 @@ def make_rig(
     distortion: tuple[float, ...] = (-0.08, 0.03, 0.0004, -0.0003),
     exact: bool = False,
 ) -> StereoRig:
-    """A rig that looks down (pitch -90 degrees) or ahead, with covariances of a careful calibration (0.4 px in f and c, 0.2 mm
-    and 0.02 degrees between the cameras, 5 mm and 0.1 degrees on the body).
+    """A rig that looks down (pitch -90) or ahead, covariances of a careful calibration: 0.4 px in f and c, 0.2 mm, 0.02 deg
+    between cameras, 5 mm, 0.1 deg on the body.
     """
     camera_sigma = np.array([0.4, 0.4, 0.4, 0.4, *[1e-3, 2e-3, 1e-4, 1e-4, 2e-3][: len(distortion)]])
     covariance = None if exact else np.diag(camera_sigma**2)
@@ -61,7 +61,6 @@ def draw_rig(calibrated: StereoRig, rng: np.random.Generator) -> StereoRig:
 
 
 def _draw_pose(R: Array, t: Array, covariance: Array | None, rng: np.random.Generator) -> tuple[Array, Array]:
-    """t + dt, exp(dtheta) @ R."""
     if covariance is None:
         return R, t
     error = rng.multivariate_normal(np.zeros(6), covariance)

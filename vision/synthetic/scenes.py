@@ -1,9 +1,8 @@
-"""Worlds from a seed: the truth, the map of it, the rig as it is and as it was calibrated.
+"""Worlds from a seed: truth, map, true and calibrated rig.
 
     make_world(seed, spec) -> Scene(world, map, rig, rig_calibrated)
 
-Each landmark is shifted by N(0, sigma_m) in north and east, its outline grown by N(0, outline_sigma_m), its roof raised by
-N(0, height_sigma_m), once a world.
+Once a world each landmark shifts by N(0, sigma_m), grows by N(0, outline_sigma_m), rises by N(0, height_sigma_m).
 """
 
 import math
@@ -30,10 +29,9 @@ _GAP_M = 3.0  # between any two things
 
 @dataclass(frozen=True)
 class WorldSpec:
-    """area_m: side of the square; spacing_m: between buildings; painted: share in strong colours; flat: share on the ground;
-    unmapped: share of buildings not in the map; gone: share of the map without building; clear_m: free radius; cars, trees,
-    patches: per hectare.
-    Layout "lookalikes": one outline and colour, +-10 % in size, 25 m apart.
+    """area_m: side; spacing_m: between buildings; painted: share in strong colours; flat: on the ground; unmapped: buildings not
+    in the map; gone: mapped without building; clear_m: free radius; cars, trees, patches: per hectare. "lookalikes": one outline
+    and colour, +-10 % in size, 25 m apart.
     """
 
     layout: Layout = "village"
@@ -64,7 +62,7 @@ class Scene(NamedTuple):
 
 
 def make_world(seed: int, spec: WorldSpec | None = None, ground: Ground | None = None) -> Scene:
-    """A world of the spec (default: a village with a perfect map), on procedural ground by default."""
+    """A world of the spec (default: a village with a perfect map), procedural ground by default."""
     spec = spec or WorldSpec()
     for_ground, for_layout, for_errors, for_clutter, for_rig = np.random.default_rng(seed).spawn(5)
     taken: list[tuple[float, float, float]] = []  # north, east, radius of what stands already
@@ -92,9 +90,7 @@ def make_world(seed: int, spec: WorldSpec | None = None, ground: Ground | None =
 
 
 def _positions(spec: WorldSpec, rng: np.random.Generator) -> list[tuple[float, float, float]]:
-    """North, east and direction of buildings: on a grid of the spacing, shaken (village, ambiguous landmarks) or along
-    streets.
-    """
+    """North, east, direction of buildings: on a shaken grid, or along streets."""
     n = max(1, int(spec.area_m / spec.spacing_m))
     steps = (np.arange(n) - 0.5 * (n - 1)) * spec.spacing_m
     positions = []
@@ -112,7 +108,6 @@ def _positions(spec: WorldSpec, rng: np.random.Generator) -> list[tuple[float, f
 
 
 def _streets(spec: WorldSpec) -> list[tuple[Array, Appearance]]:
-    """Roads both ways after every second row of houses."""
     half, every = 0.5 * spec.area_m, 2.0 * spec.spacing_m
     lines = np.arange(-half, half + 1.0, every)
     roads = []
@@ -124,7 +119,6 @@ def _streets(spec: WorldSpec) -> list[tuple[Array, Appearance]]:
 def _landmark(
     name: str, position: tuple[float, float, float], spec: WorldSpec, rng: np.random.Generator
 ) -> tuple[Landmark, Appearance]:
-    """A building (or a painted surface) as the map will have it, and how it looks."""
     if spec.layout == "lookalikes":
         outline, height, paint = lookalike(rng), 4.0, _PAINTS[0]
         painted, flat = spec.painted > 0.0, False
@@ -153,7 +147,6 @@ def _painted(paint: tuple[int, int, int], rng: np.random.Generator) -> Appearanc
 
 
 def _pale(rng: np.random.Generator) -> Appearance:
-    """Grey or brown, textured, hardly lighter than the ground; mostly gabled."""
     grey, brown = np.array([122.0, 126.0, 128.0]), np.array([84.0, 102.0, 132.0])
     b, g, r = ((grey + rng.random() * (brown - grey)) * rng.uniform(0.75, 1.2)).tolist()
     texture = str(rng.choice(["shingles", "shingles", "gravel", "metal"]))
@@ -167,7 +160,7 @@ def _wall(rng: np.random.Generator) -> tuple[float, float, float]:
 
 
 def _err(mark: Landmark, rng: np.random.Generator) -> Landmark:
-    """The true landmark of a mapped one. Numbers are drawn whatever the sigmas, so that a better map is of the same world."""
+    """The true landmark of a mapped one; equal draws for all sigmas."""
     north, east, growth, rise = rng.standard_normal(4)
     outline = grow(mark.outline_n, growth * mark.outline_sigma_m) + mark.sigma_m * np.array([north, east])
     height, base = mark.height_m + rise * mark.height_sigma_m, mark.base_d
@@ -179,7 +172,6 @@ def _err(mark: Landmark, rng: np.random.Generator) -> Landmark:
 
 
 def _clutter(spec: WorldSpec, taken: list[tuple[float, float, float]], rng: np.random.Generator) -> list[Solid]:
-    """Cars, trees and patches of colour wherever nothing stands."""
     hectares = spec.area_m**2 * 1e-4
     solids = []
     for make, per_hectare in ((car, spec.cars), (tree, spec.trees), (patch, spec.patches)):

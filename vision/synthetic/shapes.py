@@ -1,4 +1,4 @@
-"""Outlines and bodies around (0, 0): houses of several plans, ambiguous landmarks, cars, trees, patches of paint, roads."""
+"""Outlines and bodies about (0, 0): houses, ambiguous landmarks, cars, trees, paint, roads."""
 
 import math
 
@@ -43,7 +43,7 @@ def lookalike(rng: np.random.Generator) -> Array:
 
 
 def grow(outline_n: Array, by_m: float) -> Array:
-    """Every edge moved outwards by the same distance: corners move along their bisectors by by_m / sin(half angle)."""
+    """Edges moved outwards by by_m: corners along bisectors by by_m / sin(half angle)."""
     before, after = outline_n - np.roll(outline_n, 1, axis=0), np.roll(outline_n, -1, axis=0) - outline_n
     n0, n1 = _outward(before), _outward(after)
     bisector = n0 + n1
@@ -56,7 +56,7 @@ def _outward(edge: Array) -> Array:
 
 
 def car(rng: np.random.Generator) -> Solid:
-    """A box of 4.3 m by 1.8 m and 1.4 m high; darker below, as windows are."""
+    """A box 4.3 m by 1.8 m by 1.4 m, darker below."""
     b, g, r = (float(x) for x in _CARS[rng.integers(len(_CARS))])
     appearance = Appearance((b, g, r), (0.6 * b, 0.6 * g, 0.6 * r), "paint", 0.05, 0.0, "paint", 0.05)
     return Solid(_turned(rectangle(4.3 * rng.uniform(0.9, 1.15), 1.8), rng), 0.0, 1.4, appearance)

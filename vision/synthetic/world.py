@@ -1,4 +1,4 @@
-"""Upright prisms on a level ground, under one sun; a Solid is a landmark's body or clutter."""
+"""Upright prisms on level ground under one sun; a Solid is a landmark's body or clutter."""
 
 import math
 from dataclasses import dataclass, field
@@ -18,9 +18,7 @@ Bgr = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Appearance:
-    """Colours in sunlight (0..255) and the roof's texture (texture.SURFACES); contrast: per unit of texture; ridge: share by
-    which one half of the roof is lighter (gables).
-    """
+    """Sunlit colours (0..255), roof texture (texture.SURFACES); contrast: per unit; ridge: lighter half of a gable."""
 
     roof_bgr: Bgr
     wall_bgr: Bgr = (150.0, 160.0, 165.0)
@@ -33,7 +31,7 @@ class Appearance:
 
 @dataclass(frozen=True)
 class Solid:
-    """An upright prism: outline_n (K, 2) north, east of roof and walls alike, anticlockwise seen from above."""
+    """An upright prism: outline_n (K, 2) north, east, anticlockwise from above."""
 
     outline_n: Array
     base_d: float
@@ -43,7 +41,7 @@ class Solid:
 
 @dataclass(frozen=True)
 class Sun:
-    """Where light comes from: azimuth from north over east, elevation above the horizon; ambient: what the sky gives of it."""
+    """azimuth from north over east, elevation; ambient: sky's share of light."""
 
     azimuth_rad: float = math.radians(160.0)
     elevation_rad: float = math.radians(48.0)
@@ -81,9 +79,7 @@ class Columns:
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """True landmarks (ids are the map's), one appearance each, clutter, ground and sun; a label is the landmark's index,
-    clutter follows.
-    """
+    """True landmarks (map ids), appearances, clutter, ground, sun; a label is the landmark's index, then clutter."""
 
     landmarks: tuple[Landmark, ...]
     appearances: tuple[Appearance, ...]
