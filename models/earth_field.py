@@ -1,9 +1,9 @@
-"""The Earth's magnetic field: the World Magnetic Model 2025 (NOAA/NCEI and BGS, public domain; Chulliat et al. 2025).
+"""The World Magnetic Model 2025 (NOAA/NCEI and BGS; Chulliat et al. 2025).
 
     V = a sum_n (a/r)^(n+1) sum_m (g_nm cos m lambda + h_nm sin m lambda) P_nm(sin phi'),   B = -grad V,   a = 6371200 m
 
-P_nm: Schmidt's semi-normalised functions; g(t) = g + (t - 2025) dg/dt. What the model leaves out (crust) has a sigma of 138 nT
-in strength, 0.2 degrees in inclination and sqrt(0.26^2 + (5417 nT / H)^2) degrees in declination, H its horizontal strength.
+P_nm: Schmidt's semi-normalised functions; g(t) = g + (t - 2025) dg/dt. Sigma of omitted parts (crust): 138 nT, inclination 0.2
+deg, declination sqrt(0.26^2 + (5417 nT / H)^2) deg, H horizontal strength.
 """
 
 import math
@@ -33,7 +33,7 @@ def year_of(t_ns: int) -> float:
 
 @lru_cache(maxsize=64)
 def field_n(origin: Origin, year: float) -> tuple[float, float, float]:
-    """B in n at its origin, tesla; year: of that day, rounded, so that few are computed."""
+    """B at n's origin, tesla; year: rounded to a day (cache)."""
     return tuple(_field(origin, year if _YEARS[0] <= year <= _YEARS[1] else _MIDDLE).tolist())
 
 

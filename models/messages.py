@@ -1,6 +1,6 @@
-"""Messages in and out of the estimator: immutable records in NED, FRD, SI and radians.
+"""Messages of the estimator: immutable, NED, FRD, SI, radians.
 
-`t_ns`: time of validity, `arrived_ns`: of arrival; `topic`: the source. The wire (ENU, FLU, CDR) is logs/wire/codec.py's.
+`t_ns`: validity, `arrived_ns`: arrival; `topic`: source. Wire form: logs/wire/codec.py.
 """
 
 import math
@@ -21,9 +21,9 @@ RADIAN_M: Final = 50.0  # metres that count as much as a radian where position a
 
 
 class ImuSample(msgspec.Struct, frozen=True, eq=False):
-    """Instantaneous inertial measurement in body axes (FRD).
+    """Inertial sample in body axes (FRD).
 
-    gyro_b: rad/s; accel_b: specific force, m/s^2 (at rest and level: 0, 0, -9.8).
+    gyro_b: rad/s; accel_b: specific force, m/s^2 (level at rest: 0, 0, -9.8).
     """
 
     t_ns: int
@@ -42,9 +42,9 @@ class ReceiverState(IntEnum):
 
 
 class GnssFix(msgspec.Struct, frozen=True, eq=False):
-    """WGS-84 position of the antenna; alt_m above the ellipsoid.
+    """Antenna position, WGS-84; alt_m above the ellipsoid.
 
-    covariance_n: (3, 3) m^2 in NED, None: not given; status < 0: no fix; state: the receiver's own flags.
+    covariance_n: (3, 3) m^2 NED or None; status < 0: no fix; state: receiver flags.
     """
 
     t_ns: int
@@ -59,7 +59,7 @@ class GnssFix(msgspec.Struct, frozen=True, eq=False):
 
 
 class GnssVelocity(msgspec.Struct, frozen=True, eq=False):
-    """Velocity of the antenna over ground, v_n in NED axes, m/s; covariance_n (3, 3) m^2/s^2 or None."""
+    """Antenna velocity v_n, m/s; covariance_n (3, 3) m^2/s^2 or None."""
 
     t_ns: int
     arrived_ns: int
@@ -69,10 +69,10 @@ class GnssVelocity(msgspec.Struct, frozen=True, eq=False):
 
 
 class PoseFix(msgspec.Struct, frozen=True, eq=False):
-    """Position and attitude of the body in the map frame, from outside.
+    """External position and attitude of the body in the map frame.
 
-    covariance: (6, 6), x y z rx ry rz in NED, m^2 and rad^2, R_true = exp(dtheta_n) @ R_measured; a variance >= 9e4 m^2 or
-    >= 10 rad^2, NaN or negative: not given. covariance_common: the systematic part (map, rig), in addition.
+    covariance: (6, 6), x y z rx ry rz NED, m^2 and rad^2, R_true = exp(dtheta_n) @ R_measured; variance >= 9e4 m^2 or >= 10
+    rad^2, NaN or negative: not given. covariance_common: systematic part, in addition.
     """
 
     t_ns: int
@@ -85,15 +85,15 @@ class PoseFix(msgspec.Struct, frozen=True, eq=False):
 
 
 class LandmarkFix(msgspec.Struct, frozen=True, eq=False):
-    """A PoseFix of our own vision.
+    """A PoseFix of our vision.
 
-    landmarks: identifiers; similarity: 0..1 (thesis eq. 5.5); residual_px: RMS of the outline fit. Where it is known,
-    landmark_errors (m, 6, k) = L_j: effect of k errors of variance 1 of each landmark; covariance_rig (6, 6):
+    landmarks: identifiers; similarity: 0..1 (thesis eq. 5.5); residual_px: RMS of the fit. Where known, landmark_errors (m, 6, k)
+    = L_j: effect of k unit errors of each; covariance_rig (6, 6):
 
         covariance_common = sum_j L_j L_j^T + covariance_rig
 
-    directions: D (r, 6), combinations of xi = (dp_n, dtheta_n) that were measured, rows orthonormal where a radian counts as
-    RADIAN_M; None: the pose. readings: y (r,) m from the reported pose:
+    directions: D (r, 6), measured combinations of xi = (dp_n, dtheta_n), orthonormal with a radian as RADIAN_M; None: the pose.
+    readings: y (r,) m from the reported pose:
 
         D (x_true (-) x_fix) = y + v,   v ~ N(0, D (covariance + covariance_common) D^T)
     """
@@ -122,9 +122,9 @@ class ImageName(msgspec.Struct, frozen=True):
 
 
 class VisionRequest(msgspec.Struct, frozen=True, eq=False):
-    """A search for landmarks in the images of t_ns, with the pose estimate as prior.
+    """A search for landmarks in the images of t_ns, with prior.
 
-    covariance: (6, 6) as PoseFix; left, right: None where that camera gave none; run: of the vision process.
+    covariance: (6, 6) as PoseFix; left, right: or None; run: of the vision process.
     """
 
     t_ns: int
@@ -140,8 +140,8 @@ class VisionRequest(msgspec.Struct, frozen=True, eq=False):
 class OdometryRequest(msgspec.Struct, frozen=True, eq=False):
     """A request for the motion from t0_ns to t_ns in four images.
 
-    dp_b, dq_wxyz, covariance: predicted motion as in OdometryDelta; first, second: left and right image, or None; down_b: unit
-    vector downwards in the body at t0; height_m above the ground, 1-sigma; 0: not known.
+    dp_b, dq_wxyz, covariance: predicted, as OdometryDelta; first, second: left and right image, or None; down_b: unit vector at
+    t0; height_m above ground, 1-sigma; 0: unknown.
     """
 
     t_ns: int
@@ -160,7 +160,7 @@ class OdometryRequest(msgspec.Struct, frozen=True, eq=False):
 class Reading(msgspec.Struct, frozen=True, eq=False):
     """A reading of an optional sensor.
 
-    kind: its section and key in [inputs]; values: (k,) SI, FRD, in the order of logs/wire/sensors.py; covariance: (k, k) or None.
+    kind: section and [inputs] key; values: (k,) SI, FRD, order of logs/wire/sensors.py; covariance: (k, k) or None.
     """
 
     t_ns: int
@@ -172,12 +172,11 @@ class Reading(msgspec.Struct, frozen=True, eq=False):
 
 
 class OdometryDelta(msgspec.Struct, frozen=True, eq=False):
-    """Motion of the body from t0_ns to t_ns, by cameras or wheels.
+    """Motion of the body from t0_ns to t_ns.
 
-    dp_b = R_0^T (p_1 - p_0), m; dq_wxyz: R_01 = R_0^T R_1. covariance: (6, 6) of dp_b and theta, R_01,true = R_01 exp(theta),
-    new in each increment, "not given" as in PoseFix. systematic: J (6, k), effect of k errors s of variance 1 that stay with
-    the rig:
-    dp = dp_true + J_p s, R_01 = R_01,true exp(J_theta s); None: a scale of dp_b. epoch: within one these errors stay the same.
+    dp_b = R_0^T (p_1 - p_0), m; dq_wxyz: R_01 = R_0^T R_1. covariance: (6, 6) of dp_b and theta, R_01,true = R_01 exp(theta), new
+    each time. systematic: J (6, k), effect of k unit errors s of the rig, constant within an epoch: dp = dp_true + J_p s, R_01 =
+    R_01,true exp(J_theta s); None: a scale of dp_b.
     """
 
     t_ns: int
@@ -192,7 +191,7 @@ class OdometryDelta(msgspec.Struct, frozen=True, eq=False):
 
 
 class OdometryPose(msgspec.Struct, frozen=True, eq=False):
-    """Pose of the body in the drifting frame of an odometry: x_o = R_ob x_b + p_o; another frame name begins where it jumped."""
+    """Pose in a drifting odometry frame: x_o = R_ob x_b + p_o; a new frame name after a jump."""
 
     t_ns: int
     arrived_ns: int
@@ -203,7 +202,7 @@ class OdometryPose(msgspec.Struct, frozen=True, eq=False):
 
 
 class AttitudePrior(msgspec.Struct, frozen=True, eq=False):
-    """Attitude by another estimator, for the alignment only; covariance: (3, 3) rad^2 about the axes of n, as in PoseFix."""
+    """Another estimator's attitude, for alignment only; covariance: (3, 3) rad^2 about n."""
 
     t_ns: int
     arrived_ns: int
@@ -213,7 +212,7 @@ class AttitudePrior(msgspec.Struct, frozen=True, eq=False):
 
 
 class Tick(msgspec.Struct, frozen=True, eq=False):
-    """The only clock Fusion has: "it is now t_ns". Lets it go on when the IMU is silent."""
+    """The clock of Fusion: "it is now t_ns", also when the IMU is silent."""
 
     t_ns: int
     arrived_ns: int
@@ -221,7 +220,7 @@ class Tick(msgspec.Struct, frozen=True, eq=False):
 
 
 class Checkpoint(msgspec.Struct, frozen=True, eq=False):
-    """State of an earlier run to continue from; the first message, or refused. Fields as in Estimate; last_gnss as in Health."""
+    """State of an earlier run, the first message or refused; fields as Estimate, last_gnss as Health."""
 
     t_ns: int
     arrived_ns: int
@@ -235,7 +234,7 @@ class Checkpoint(msgspec.Struct, frozen=True, eq=False):
 
 
 class Unusable(msgspec.Struct, frozen=True, eq=False):
-    """A message that could not become a measurement (torn, wrong type, nonsense), kept so that it gets its reason."""
+    """A message that is no measurement, kept with its reason."""
 
     t_ns: int
     arrived_ns: int
@@ -296,10 +295,10 @@ class Reason(StrEnum):
 
 
 class AidStatus(msgspec.Struct, frozen=True, eq=False):
-    """Decision on one measurement; sent again with a higher revision when the decision changes.
+    """Decision on a measurement; sent again with a higher revision when changed.
 
-    innovation, innovation_sigma: of the given components; test_ratio: squared Mahalanobis distance / gate; delay_s: arrival -
-    validity; replayed: IMU samples processed again for it.
+    innovation, innovation_sigma: given components; test_ratio: squared Mahalanobis distance / gate; delay_s: arrival - validity;
+    replayed: IMU samples.
     """
 
     t_ns: int
@@ -317,10 +316,9 @@ class AidStatus(msgspec.Struct, frozen=True, eq=False):
 
 
 class Estimate(msgspec.Struct, frozen=True, eq=False):
-    """The state with everything of t <= t_ns that has arrived.
+    """State with everything of t <= t_ns that has arrived.
 
-    nav: (16,) packed NavState (X); covariance: (15, 15) of the error state (E); gyro_b: rate less bias, rad/s; reset_counter:
-    jumps.
+    nav: (16,) packed NavState (X); covariance: (15, 15) (E); gyro_b: rate less bias, rad/s; reset_counter: jumps.
     """
 
     t_ns: int
@@ -335,7 +333,7 @@ class Estimate(msgspec.Struct, frozen=True, eq=False):
 
 
 class Reset(msgspec.Struct, frozen=True, eq=False):
-    """The estimate jumped: new = old (+) delta. delta_theta_n is about the axes of n."""
+    """A jump: new = old (+) delta; delta_theta_n about n."""
 
     t_ns: int
     arrived_ns: int
@@ -346,10 +344,10 @@ class Reset(msgspec.Struct, frozen=True, eq=False):
 
 
 class VisionReport(msgspec.Struct, frozen=True, eq=False):
-    """Result of one stereo pair, with the reason.
+    """Result of a stereo pair, with the reason.
 
-    outcome: fixed, or the stage that ended it; regions, candidates: found, and similar enough; landmarks, similarities: best of
-    each candidate, 0..1; residual_px: RMS of the outline fit, or NaN.
+    outcome: fixed, or the last stage; regions, candidates: numbers; landmarks, similarities: best of each candidate, 0..1;
+    residual_px: RMS or NaN.
     """
 
     t_ns: int
@@ -365,7 +363,7 @@ class VisionReport(msgspec.Struct, frozen=True, eq=False):
 
 
 class LastGnss(msgspec.Struct, frozen=True, eq=False):
-    """The last trusted GNSS position, its age, and the 1-sigma horizontal radius grown with that age."""
+    """Last trusted GNSS position, age, 1-sigma horizontal radius grown with age."""
 
     lat_deg: float
     lon_deg: float
@@ -377,8 +375,8 @@ class LastGnss(msgspec.Struct, frozen=True, eq=False):
 class Health(msgspec.Struct, frozen=True, eq=False):
     """State of the estimator, 1-10 Hz.
 
-    biases: gyro_x ... accel_z (FRD, rad/s, m/s^2) and *_sigma, wind_north, wind_east (m/s) where estimated; weights: ln, of the
-    hypotheses beside the leading one, by their assumption.
+    biases: gyro_x ... accel_z (FRD, rad/s, m/s^2), *_sigma, wind_north, wind_east (m/s) if estimated; weights: ln, of other
+    hypotheses by assumption.
     """
 
     t_ns: int
@@ -408,10 +406,10 @@ class Alert(StrEnum):
 
 
 class Integrity(msgspec.Struct, frozen=True, eq=False):
-    """Protection levels at a stated risk, and the state that follows.
+    """Protection levels at a stated risk, and the state.
 
-    hpl_m, vpl_m: at risk_per_hour, inf: unbounded; hal_m, val_m: alert limits, inf: none; risks_per_hour, hpls_m, vpls_m: at
-    fixed risks; sigma_h_m, sigma_v_m: of the Gaussian with the first of them; reason: of a state other than usable.
+    hpl_m, vpl_m: at risk_per_hour, inf: unbounded; hal_m, val_m: alert limits, inf: none; risks_per_hour, hpls_m, vpls_m: fixed
+    risks; sigma_h_m, sigma_v_m: Gaussian of the first; reason: unless usable.
     """
 
     t_ns: int

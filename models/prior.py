@@ -10,7 +10,7 @@ from models.messages import Array
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Pose before the images: p_n [m], q_nb_wxyz, covariance (6, 6), x y z rx ry rz about the axes of n."""
+    """Pose before the images: p_n [m], q_nb_wxyz, covariance (6, 6), x y z rx ry rz about n."""
 
     p_n: Array
     q_nb_wxyz: Array
@@ -27,5 +27,5 @@ class Prior:
         return cholesky.inverse(np.ascontiguousarray(self.covariance, dtype=np.float64))
 
     def moved(self, x: Array) -> tuple[Array, Array]:
-        """(p_n, q_nb_wxyz) after the error x = (dp, dtheta, ...): p + dp, exp(dtheta) q."""
+        """(p_n, q_nb_wxyz) after x = (dp, dtheta, ...): p + dp, exp(dtheta) q."""
         return self.p_n + x[:3], so3.normalise(so3.multiply(so3.quat_exp(np.ascontiguousarray(x[3:6])), self.q_nb_wxyz))

@@ -1,4 +1,4 @@
-"""Radius of the circle, and reach of the ellipsoid, that hold an error with a probability."""
+"""Radius of the circle, reach of the ellipsoid, of a probability."""
 
 import math
 from functools import cache
@@ -14,8 +14,7 @@ _ANGLES: Final = 64
 
 
 def horizontal_radius(covariance: Array, probability: float = 0.95) -> Array:
-    """Radius r [m] (n,) of the circle that holds a horizontal error of covariance (n, 2, 2) with the probability; nan: not
-    finite.
+    """Radius [m] (n,) of the circle that holds an error of covariance (n, 2, 2); nan: not finite.
 
         P(x^2 + y^2 > r^2) = 1/2pi int_0^2pi exp( -r^2 / (2 (s1^2 cos^2 a + s2^2 sin^2 a)) ) da = 1 - probability
 
@@ -31,7 +30,7 @@ def horizontal_radius(covariance: Array, probability: float = 0.95) -> Array:
 
 
 def reach(covariance: Array, probability: float = 0.95) -> float:
-    """Longest half axis [m] of the ellipsoid that holds an error of covariance (3, 3) with the probability; nan: not finite.
+    """Longest half axis [m] of the ellipsoid of covariance (3, 3); nan: not finite.
 
     r = sqrt( q max eig(P) ),    P(chi^2_3 < q) = probability
     """
@@ -42,7 +41,7 @@ def reach(covariance: Array, probability: float = 0.95) -> float:
 
 @cache
 def _table(probability: float) -> tuple[Array, Array]:
-    """r / s1 over s2 / s1 in 0..1, by Newton's method: the left side is convex in r^2 where it starts, and falls."""
+    """r / s1 over s2 / s1 in 0..1, by Newton's method (convex in r^2)."""
     ratios = np.linspace(0.0, 1.0, _RATIOS)
     angle = (np.arange(_ANGLES) + 0.5) * (0.5 * np.pi / _ANGLES)  # a quarter is like the others
     variance = np.cos(angle) ** 2 + np.outer(ratios, np.sin(angle)) ** 2

@@ -1,6 +1,4 @@
-"""A page of HTML that stands alone, in the reader's light or dark scheme; all text is escaped, and its policy forbids foreign
-scripts.
-"""
+"""A stand-alone HTML page, light or dark; text escaped, foreign scripts forbidden by policy."""
 
 import base64
 import html

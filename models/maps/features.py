@@ -1,4 +1,4 @@
-"""Features of a GeoJSON file, decoded one by one and gathered: written by us, which is quick, or by anybody."""
+"""GeoJSON features, decoded one by one: ours fast, any others too."""
 
 import functools
 import json
@@ -35,7 +35,7 @@ class OurPolygon(msgspec.Struct, tag_field="type", tag="Polygon"):
 
 
 class OurProperties(msgspec.Struct, omit_defaults=True):
-    """Properties as we write them. What has a default but name, colour and weights is computed, for people, and not read."""
+    """Properties as we write them; those with defaults, but name, colour and weights, are not read."""
 
     height_m: _Height
     height_sigma_m: _Sigma
@@ -216,12 +216,10 @@ def _lines(shape: _LineString | _MultiLineString) -> list[list[list[float]]]:
 
 
 def _in_degrees(shape: _LineString | _MultiLineString) -> bool:
-    """Whether strips can be made of a line."""
     return all(len(position) >= 2 and max(map(abs, position[:2])) <= 180.0 for line in _lines(shape) for position in line)
 
 
 def _strips(shape: _LineString | _MultiLineString, width_m: float) -> list[list[list[list[float]]]]:
-    """A line's pieces as polygons, each an outer ring."""
     return [[ring] for line in _lines(shape) for ring in strips(line, width_m)]
 
 
@@ -234,7 +232,7 @@ def head_of(data: bytes) -> File:
 
 
 def features(data: bytes) -> tuple[File, list[msgspec.Raw]]:
-    """The file's head and its features: a FeatureCollection, one Feature, or one feature a line."""
+    """Head and features of a file: FeatureCollection, Feature, or a feature a line."""
     if other := _other_form(data):
         raise MapError(f"not a GeoJSON map: {other}")
     try:
@@ -251,7 +249,7 @@ def features(data: bytes) -> tuple[File, list[msgspec.Raw]]:
 
 
 def _other_form(data: bytes) -> str:
-    """The name of another form of map file and what converts it; empty where it is none that is known."""
+    """Name of another map format and its converter; empty if unknown."""
     head = data[:4096]
     xml = head.lstrip().startswith(b"<")
     for name, seen in (
@@ -270,7 +268,7 @@ def _other_form(data: bytes) -> str:
 
 
 def _otherwise(data: bytes, error: str) -> list[msgspec.Raw]:
-    """Features of a file that is not one JSON text: one a line, or with NaN (read as null)."""
+    """Features of a file that is not one JSON text: a line each, or with NaN (null)."""
     try:
         lines = msgspec.json.Decoder(msgspec.Raw).decode_lines(data)
         if len(lines) > 1:
@@ -285,7 +283,7 @@ def _otherwise(data: bytes, error: str) -> list[msgspec.Raw]:
 
 
 def _why(raw: msgspec.Raw, error: str) -> str:
-    """Why a feature could not be decoded, in terms of its geometry if that is the reason."""
+    """Why a feature could not be decoded, by its geometry if possible."""
     try:
         kind = msgspec.json.decode(raw)["geometry"]["type"]
     except (*_UNDECODABLE, KeyError, TypeError):

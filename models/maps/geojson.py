@@ -1,4 +1,4 @@
-"""The map's file: GeoJSON with roof edges in WGS-84 longitude and latitude, or in the system of a `crs` member (docs/map.md)."""
+"""The map's file: GeoJSON roof edges in WGS-84 or a `crs` member's system (docs/map.md)."""
 
 import math
 import re
@@ -79,7 +79,7 @@ def read(data: bytes, defaults: Defaults) -> tuple[Vec3, Columns, MapReport, tup
 
 
 def origin_of(data: bytes) -> Vec3 | None:
-    """The origin in the first bytes of a file of ours; None: the whole file has to be read."""
+    """Origin in the first bytes of our file; None: read it whole."""
     head, features, _ = data.partition(b'"features"')
     if not features:
         return None
@@ -92,10 +92,7 @@ def _on_earth(origin: Vec3) -> bool:
 
 
 def exchanged(lonlat: Array, offsets: NDArray[np.int64]) -> bool:
-    """Whether the outlines' corners are right angles only with latitude and longitude exchanged.
-
-    A degree of longitude is cos(latitude) of one of latitude; outlines along the axes determine nothing.
-    """
+    """Whether corners are right angles only with latitude and longitude exchanged."""
     lonlat, offsets = lonlat[: offsets[_ENOUGH]] if len(offsets) > _ENOUGH else lonlat, offsets[: _ENOUGH + 1]
     if len(lonlat) < 40 or np.abs(lonlat).max() > 90.0:
         return False
@@ -132,12 +129,10 @@ def _lonlat(crs: Any, xy: Array) -> Array:
 
 
 def _any(condition: NDArray[np.bool_], offsets: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Per outline, whether the condition holds at one of its vertices."""
     return np.logical_or.reduceat(condition, offsets[:-1]) if len(offsets) > 1 else np.empty(0, bool)
 
 
 def _in_range(parts: Parts, lonlat: Array, offsets: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which outlines lie on the Earth."""
     lon, lat = lonlat.T
     bad = _any(~((np.abs(lat) <= 90.0) & (np.abs(lon) <= 180.0)), offsets)
     swapped = bad & ~_any(~((np.abs(lon) <= 90.0) & (np.abs(lat) <= 180.0)), offsets)
@@ -147,7 +142,7 @@ def _in_range(parts: Parts, lonlat: Array, offsets: NDArray[np.int64]) -> NDArra
 
 
 def _middle(lonlat: Array, offsets: NDArray[np.int64], good: NDArray[np.bool_], ground_alt: Array) -> Vec3:
-    """An origin: the median place, at the median ground altitude (0 where no feature has its own)."""
+    """An origin: median position and ground altitude (default 0)."""
     lon, lat = lonlat[offsets[:-1][good]].T
     if len(lon) == 0:
         return 0.0, 0.0, 0.0
@@ -157,7 +152,7 @@ def _middle(lonlat: Array, offsets: NDArray[np.int64], good: NDArray[np.bool_], 
 
 
 def _to_ned(origin: Vec3, lonlat: Array, offsets: NDArray[np.int64], ground: Array, roof: Array) -> tuple[Array, Array]:
-    """North, east (V, 2) of the roof's corners, and down (N,) of the ground under the first of each."""
+    """North, east (V, 2) of roof corners, down (N,) of the ground under the first."""
     counts = np.diff(offsets)
     north, east, _ = pymap3d.geodetic2ned(lonlat[:, 1], lonlat[:, 0], np.repeat(roof, counts), *origin)
     first = lonlat[offsets[:-1]]
@@ -187,7 +182,6 @@ def _in_reach(
 
 
 def _unique(parts: Parts, good: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The first of those with one id."""
     first: dict[str, int] = {}
     unique = np.ones(len(good), bool)
     texts = []
@@ -207,7 +201,7 @@ def write(
     automatic: bool = False,
     alike: Alike | None = None,
 ) -> bytes:
-    """The file of a map, one feature a line; positions to 0.1 mm, lengths to 1 mm; alike: ambiguous landmarks."""
+    """The file, a feature a line; positions to 0.1 mm, lengths to 1 mm; alike: ambiguity."""
     counts = np.diff(columns.offsets)
     roof_d = np.repeat(columns.base_d - columns.height_m, counts)
     lat, lon, _ = pymap3d.ned2geodetic(columns.vertices[:, 0], columns.vertices[:, 1], roof_d, *origin)

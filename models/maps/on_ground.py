@@ -1,6 +1,6 @@
-"""OpenStreetMap's tags of objects on the ground: pools, courts, parking bays, water, and lines with a width.
+"""OpenStreetMap tags on the ground: pools, courts, parking bays, water, lines.
 
-The width of a line is its `width`, else 3.25 m for each of its `lanes`, else the usual one of its kind, +-1 m on either side.
+Width: `width`, else 3.25 m a lane, else the kind's usual +-1 m a side.
 """
 
 from collections.abc import Mapping
@@ -35,7 +35,7 @@ def lies_on_ground(tags: Mapping[str, str]) -> bool:
 
 
 def width_m(tags: Mapping[str, str], given_m: float | None, lanes: float | None) -> tuple[float, float] | None:
-    """Width of a line and the standard deviation of each of its sides; None where the width is unknown."""
+    """Width of a line and sigma of each side; None if unknown."""
     if given_m is not None:
         return given_m, EDGE_SIGMA_M
     if lanes is not None:

@@ -1,4 +1,4 @@
-"""Plane coordinates of public map data <-> longitude and latitude: UTM and the web's Mercator, both on WGS-84."""
+"""UTM and web Mercator coordinates <-> longitude and latitude, WGS-84."""
 
 import math
 
@@ -32,7 +32,7 @@ _DEGREES = (4326, 4979)  # WGS 84 in degrees, GeoJSON's own; the second has heig
 
 
 def to_lonlat(epsg: int, xy: Array) -> Array | None:
-    """Longitude, latitude [deg] (N, 2) of coordinates (N, 2) in EPSG 4326, 32601-32660, 32701-32760 or 3857; else None."""
+    """Longitude, latitude [deg] (N, 2) of EPSG 4326, 32601-32660, 32701-32760 or 3857; else None."""
     if epsg in _DEGREES:
         return xy
     if epsg == 3857:
@@ -62,7 +62,7 @@ def _zone(epsg: int) -> tuple[float, float] | None:
 
 
 def _inverse(xy: Array, lon0: float, false_north: float) -> Array:
-    """Inverse transverse Mercator, Krueger's series in n to the fourth order (Karney 2011, eq. 11-15, 35-36): below 1 mm."""
+    """Inverse transverse Mercator, Krueger's series (Karney 2011, eq. 11-15, 35-36): below 1 mm."""
     xi, eta = (xy[:, 1] - false_north) / (0.9996 * _RADIUS), (xy[:, 0] - 500_000.0) / (0.9996 * _RADIUS)
     waves = [(beta, 2.0 * (j + 1)) for j, beta in enumerate(_BETA)]
     xi_sphere = xi - sum(beta * np.sin(m * xi) * np.cosh(m * eta) for beta, m in waves)

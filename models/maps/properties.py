@@ -1,7 +1,6 @@
-r"""Properties of a GeoJSON feature -> a landmark's attributes.
+r"""GeoJSON properties to a landmark's attributes.
 
-Our own names carry the unit (`height_m`) and win over OpenStreetMap's (`height`, `building:levels`, `roof:colour`; "7.5 m",
-"25'6\"") and those of other open building sets.
+Our names (`height_m`) win over OpenStreetMap's (`height`, `building:levels`, `roof:colour`; "7.5 m", "25'6\"") and others'.
 """
 
 import math
@@ -76,9 +75,9 @@ class Properties(
 
 
 class Attributes(NamedTuple):
-    """One landmark without its outline. missing: properties whose default was taken.
+    """A landmark without outline. missing: defaulted properties.
 
-    numbers: height_m, height_sigma_m, sigma_m, outline_sigma_m, ground_alt_m (NaN where unknown), corner_sigma_m.
+    numbers: height_m, height_sigma_m, sigma_m, outline_sigma_m, ground_alt_m (NaN unknown), corner_sigma_m.
     """
 
     numbers: tuple[float, float, float, float, float, float]
@@ -90,7 +89,7 @@ class Attributes(NamedTuple):
 
 
 def line_width_m(p: Properties) -> tuple[float, float] | str:
-    """Width of a line and the standard deviation of each side [m], or why it is no landmark."""
+    """Width of a line and sigma of each side [m], or why no landmark."""
     if p.tunnel not in (None, "no"):
         return "it is a tunnel"
     given, lanes = _number("width", p.width, 0.5, 200.0, []), _number("lanes", p.lanes, 0.5, 20.0, [])
@@ -98,7 +97,7 @@ def line_width_m(p: Properties) -> tuple[float, float] | str:
 
 
 def read(p: Properties, defaults: Defaults, side_sigma_m: float | None = None) -> Attributes:
-    """The attributes; what cannot be understood is remarked on and taken as missing. side_sigma_m: of a line on the ground."""
+    """The attributes; unreadable ones are remarked and missing. side_sigma_m: of a line."""
     missing: list[str] = []
     remarks: list[str] = []
     flat = side_sigma_m is not None or on_ground.lies_on_ground(p.tags)
@@ -130,7 +129,7 @@ def read(p: Properties, defaults: Defaults, side_sigma_m: float | None = None) -
 
 
 def identity(p: Properties, feature_id: str | float | None, number: int) -> str:
-    """Identifier of a feature: its own `id` property, the feature's id, the source's; else #number."""
+    """A feature's `id` property, its id, the source's, else #number."""
     for candidate in (p.id, feature_id, p.osm_id_at):
         if text := _text(candidate):
             return text
@@ -140,7 +139,6 @@ def identity(p: Properties, feature_id: str | float | None, number: int) -> str:
 
 
 def _text(identifier: Any) -> str:
-    """An identifier as text, "" for none."""
     if isinstance(identifier, str):
         return identifier.strip()
     if isinstance(identifier, (int, float)) and not isinstance(identifier, bool):
@@ -149,7 +147,7 @@ def _text(identifier: Any) -> str:
 
 
 def _height(p: Properties, defaults: Defaults, missing: list[str], remarks: list[str]) -> tuple[float, float]:
-    """Height and its standard deviation: as measured, from the storeys, or a guess, ever less certain."""
+    """Height and sigma: measured, by storeys, or a guess."""
     height = _number("height_m", p.height_m, 0.0, 1e3, remarks)
     if height is not None:
         return height, 0.0 if height == 0.0 else 0.5
@@ -191,7 +189,6 @@ def _length(text: Any) -> float | None:
 
 
 def _colour(p: Properties, remarks: list[str]) -> tuple[int, int, int] | None:
-    """Own colour, else the roof's, else the building's."""
     names = (p.colour, p.color, p.roof_colour, p.roof_color, p.roof_color_plain, p.building_colour, p.building_color)
     for value in names:
         if value is not None:

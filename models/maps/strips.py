@@ -1,8 +1,8 @@
-"""A road, track, canal or railway: a line with a width w as outlines on the ground.
+"""A line of width w (road, canal, railway) as outlines on the ground.
 
     p_i +- w / 2 m_i,      m_i = (n_a + n_b) / (1 + n_a . n_b)      (n_a, n_b: unit normals before and after corner p_i)
 
-Turns of more than 120 degrees are cut off. A long line is cut into pieces of at most PIECE_M, each a landmark.
+Turns beyond 120 degrees are cut; pieces of at most PIECE_M are landmarks.
 """
 
 import math
@@ -30,7 +30,7 @@ def strips(line: Sequence[Sequence[float]], width_m: float) -> Iterator[list[lis
 
 
 def _pieces(line_m: Array) -> Iterator[Array]:
-    """The line (N, 2), doubled corners left out, in pieces of equal length, at sharp turns in two."""
+    """The line (N, 2) in equal pieces, divided at sharp turns, without doubled corners."""
     step = np.linalg.norm(np.diff(line_m, axis=0), axis=1)
     line_m = line_m[np.concatenate(([True], step > 0.0))]
     if len(line_m) < 2:

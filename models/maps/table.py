@@ -15,9 +15,9 @@ WEIGHTS: Weights = (0.20966, 0.30413, 0.302214, 0.209658)  # size, width, length
 
 
 class Columns(msgspec.Struct, frozen=True, eq=False):
-    """N landmarks: vertices (V, 2) north, east with offsets (N + 1,), per landmark one entry in the others.
+    """N landmarks: vertices (V, 2) north, east, offsets (N + 1,).
 
-    base_d: down of the ground; colour_bgr: (N, 3), -1 = unknown; weights and names: only of those that have their own.
+    base_d: down of the ground; colour_bgr: (N, 3), -1 = unknown; weights, names: only own ones.
     """
 
     ids: list[str]
@@ -35,8 +35,8 @@ class Columns(msgspec.Struct, frozen=True, eq=False):
 
 
 class Alike(msgspec.Struct, frozen=True, eq=False):
-    """Of N landmarks: number of similar ones nearby (N,), the nearest of them [m] (N,), and the nearest shift [m] at which the
-    surroundings look the same (N,); inf for none.
+    """Per landmark: number of similar ones nearby (N,), nearest [m], nearest shift [m] that repeats the surroundings; inf for
+    none.
     """
 
     count: NDArray[np.int64]
@@ -56,9 +56,7 @@ class Finding(msgspec.Struct, frozen=True):
 
 
 class MapReport(msgspec.Struct, frozen=True, eq=False):
-    """Rejected features, remarks, and how many landmarks got the default of a property; doubt: suspicion about the whole file,
-    or "".
-    """
+    """Rejected features, remarks, defaults by property; doubt: about the whole file, or ""."""
 
     features: int = 0
     rejected: tuple[Finding, ...] = ()
@@ -68,18 +66,16 @@ class MapReport(msgspec.Struct, frozen=True, eq=False):
 
 
 def reasons(findings: Iterable[Finding]) -> list[tuple[str, int]]:
-    """What was found, and of how many features each; texts that differ in numbers alone count as one."""
+    """Findings with numbers of features; texts differing in numbers count as one."""
     return Counter(re.sub(r"#?\d[\d.]*", "...", finding.text) for finding in findings).most_common()
 
 
 class MapError(ValueError):
-    """The file as a whole is not a map; one line says why and what to do."""
+    """The file is no map; one line with the remedy."""
 
 
 class Defaults(msgspec.Struct, frozen=True):
-    """Height of the roof and horizontal sigma of features without them; of the whole map its origin and common shift, where
-    known.
-    """
+    """Roof height and horizontal sigma of features without; the map's origin and common shift."""
 
     height_m: float = 6.0
     sigma_m: float = 0.5

@@ -1,4 +1,4 @@
-"""Simulation: true motion, sensors with their errors, faults, scenarios in TOML, and the bound no filter can beat.
+"""Simulation: motion, sensor errors, faults, TOML scenarios, Cramer-Rao bound.
 
 May import models.
 """

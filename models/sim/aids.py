@@ -1,9 +1,9 @@
-"""A GNSS receiver and 6-DoF pose fixes, with noise, delays, outages and false measurements.
+"""GNSS and pose fixes with noise, delays, outages, false measurements.
 
     GNSS:      z = p_n + R_nb l_b + s + n,   v_z = v_n + R_nb (omega_b x l_b) + n_v,   s' = -s/tau + w
     pose fix:  z = p_n + c_p + n_p,          R_z = exp(-c_theta - n_theta) R_nb        (errors about the axes of n)
 
-c: error common to all fixes of a run (map, rig).
+c: constant for a run (map, rig).
 """
 
 import math
@@ -23,10 +23,10 @@ Stamps = NDArray[np.int64]
 
 
 class Gnss(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A GNSS receiver; three numbers are north, east, down.
+    """A GNSS receiver; triples are north, east, down.
 
-    slow_sigma_m, slow_tau_s: Gauss-Markov error per axis; delay_s: validity to arrival, a number or [least, most]; stamp_lag_s:
-    the stamps are late by this; antenna_b_m: lever arm; outages_s: intervals without reception.
+    slow_sigma_m, slow_tau_s: Gauss-Markov; delay_s: a number or [least, most]; stamp_lag_s: lateness of stamps; antenna_b_m:
+    lever arm; outages_s: intervals.
     """
 
     rate_hz: Rate = 5.0
@@ -45,7 +45,7 @@ class Gnss(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
 
 class FalseSpan(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """All pose fixes of an interval share one error: they agree with each other, and are wrong."""
+    """An interval whose pose fixes share one error."""
 
     start_s: NotNegative
     end_s: NotNegative
@@ -57,10 +57,10 @@ class FalseSpan(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 
 class PoseFixes(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A source of 6-DoF fixes; three numbers are the axes of n.
+    """A source of 6-DoF fixes; triples along n.
 
-    delay_s, outages_s: as Gnss; outlier_share: of fixes with an extra error within outlier_m and outlier_deg; common_sigma_*:
-    of the error drawn once for the run.
+    delay_s, outages_s: as Gnss; outlier_share: with an extra error within outlier_m, outlier_deg; common_sigma_*: drawn once a
+    run.
     """
 
     rate_hz: Rate = 2.0
@@ -86,7 +86,7 @@ class PoseFixes(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 def receive_gnss(
     gnss: Gnss, trajectory: Trajectory, origin: Origin, epoch_ns: int, rng: np.random.Generator
 ) -> list[GnssFix | GnssVelocity]:
-    """Everything the receiver says, position and velocity of one instant side by side, in order of validity."""
+    """Positions and velocities of the receiver, in order of validity."""
     t_s, t_ns = _instants(gnss.rate_hz, trajectory.duration_s, epoch_ns, rng)
     motion = trajectory.at(t_s)
     n, lever_b = len(t_s), np.array(gnss.antenna_b_m)
@@ -109,7 +109,7 @@ def receive_gnss(
 def make_pose_fixes(
     source: PoseFixes, trajectory: Trajectory, epoch_ns: int, rng: np.random.Generator
 ) -> tuple[list[PoseFix], frozenset[int]]:
-    """The fixes in order of validity, and the t_ns of those that are false (outliers and false spans)."""
+    """Fixes in order of validity, and t_ns of the false ones."""
     t_s, t_ns = _instants(source.rate_hz, trajectory.duration_s, epoch_ns, rng)
     motion, n = trajectory.at(t_s), len(t_s)
     common_p = source.common_sigma_m * rng.standard_normal(3)
@@ -131,7 +131,7 @@ def make_pose_fixes(
 
 
 def _falsify(source: PoseFixes, t_s: Seconds, p_n: Array, theta_n: Array, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Adds outliers and false spans to the errors in place; which of the fixes are false, (n,)."""
+    """Add outliers and false spans in place; false fixes (n,)."""
     n = len(t_s)
     false = rng.random(n) < source.outlier_share
     for error, (least, most) in ((p_n, source.outlier_m), (theta_n, np.radians(source.outlier_deg))):
@@ -161,7 +161,7 @@ def _pose_covariance(sigma_m: Sigma3, sigma_deg: Sigma3) -> Array:
 
 
 def _instants(rate_hz: float, duration_s: float, epoch_ns: int, rng: np.random.Generator) -> tuple[Seconds, Stamps]:
-    """Times of a source with a phase of its own: seconds from the start, and stamps. They fall between IMU samples."""
+    """Times [s] from the start and stamps of a source, at a random phase."""
     period_ns = round(1e9 / rate_hz)
     since_ns = np.arange(rng.integers(period_ns), round(duration_s * 1e9), period_ns, dtype=np.int64)
     return np.asarray(since_ns * 1e-9, dtype=np.float64), epoch_ns + since_ns
@@ -175,7 +175,7 @@ def _received(t_s: Seconds, outages_s: tuple[Interval, ...]) -> NDArray[np.bool_
 
 
 def _arrivals(t_ns: Stamps, delay_s: Delay, epoch_ns: int, duration_s: float, rng: np.random.Generator) -> Stamps:
-    """Arrival stamps; whatever is still under way at the end arrives with the last IMU sample, so that nothing is lost."""
+    """Arrival stamps; what is late at the end arrives with the last IMU sample."""
     delay_ns = np.rint(rng.uniform(*between(delay_s), len(t_ns)) * 1e9).astype(np.int64)
     arrived_ns: Stamps = np.minimum(t_ns + delay_ns, epoch_ns + round(duration_s * 1e9))
     return arrived_ns

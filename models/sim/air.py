@@ -1,4 +1,4 @@
-"""A horizontal wind with gusts, smooth, with its derivative in closed form, and the reading of a pitot tube.
+"""A smooth horizontal wind with gusts, and a pitot tube's reading.
 
 w(t) = w_0 + sigma sum_i sqrt(2 / N) sin(2 pi t / T_i + phi_i),   T_i from T / 3 to 3 T, in even steps of ln T
 """
@@ -19,7 +19,7 @@ _PER_GUST = 6.0  # T over the correlation time: a wave correlates with itself fo
 
 
 class Wind(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """speed_m_s: of the mean, from any direction; gust_m_s: north and east, for gust_s at a time."""
+    """speed_m_s: mean, random direction; gust_m_s: north, east, for gust_s."""
 
     speed_m_s: NotNegative = 5.0
     gust_m_s: NotNegative = 0.5
@@ -27,7 +27,7 @@ class Wind(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
 
 class Airspeed(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A pitot tube along the nose: true airspeed; scale_sigma: ratio, of one drawn for the run."""
+    """A pitot tube along the nose: true airspeed; scale_sigma: drawn once a run."""
 
     rate_hz: Rate = 10.0
     sigma_m_s: NotNegative = 0.3
@@ -36,7 +36,7 @@ class Airspeed(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
 @dataclass(frozen=True, slots=True)
 class Air:
-    """One realisation: mean_n (2,), and waves of both axes, each (2, N): 1/s and rad."""
+    """One realisation: mean_n (2,), waves (2, N): 1/s, rad."""
 
     mean_n: Array
     gust_m_s: float
@@ -65,7 +65,7 @@ def blow(wind: Wind, rng: np.random.Generator) -> Air:
 def read_airspeed(
     tube: Airspeed, air: Air | None, t_ns: NDArray[np.int64], epoch_ns: int, v_n: Array, R_nb: Array, rng: np.random.Generator
 ) -> list[Reading]:
-    """What the tube reads at the instants t_ns (n,) of the motion v_n (n, 3), R_nb (n, 3, 3)."""
+    """Readings at t_ns (n,) of the motion v_n (n, 3), R_nb (n, 3, 3)."""
     wind = air.at(np.asarray((t_ns - epoch_ns) * 1e-9, np.float64))[0] if air is not None else 0.0
     along = np.einsum("kj,kj->k", R_nb[:, :, 0], v_n - wind)
     scale = 1.0 + tube.scale_sigma * rng.standard_normal()

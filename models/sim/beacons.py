@@ -1,4 +1,4 @@
-"""Ranges to beacons at known points (ultra-wideband): z = |b - p - R_nb l| + s + n, s constant for the run."""
+"""Ranges to known beacons: z = |b - p - R_nb l| + s + n, s constant a run."""
 
 import msgspec
 import numpy as np
@@ -9,7 +9,7 @@ from models.sim.ranges import NotNegative, Positive, Rate
 
 
 class Beacons(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """at_n_m: north, east, down of each, in turn asked for a range; reach_m: beyond, none is heard; antenna_b_m: lever arm."""
+    """at_n_m: north, east, down of each; reach_m: range; antenna_b_m: lever arm."""
 
     at_n_m: tuple[Vec3, ...] = ((40.0, 40.0, -5.0), (-40.0, 40.0, -5.0), (0.0, -40.0, -5.0))
     rate_hz: Rate = 5.0
@@ -27,7 +27,7 @@ def topic_of(k: int) -> str:
 def measure_ranges(
     beacons: Beacons, t_ns: NDArray[np.int64], epoch_ns: int, p_n: Array, R_nb: Array, rng: np.random.Generator
 ) -> list[Reading]:
-    """Ranges at the instants t_ns (n,) of the motion p_n (n, 3), R_nb (n, 3, 3), rate_hz times a second from each beacon."""
+    """Ranges at t_ns (n,) of the motion p_n (n, 3), R_nb (n, 3, 3), rate_hz a beacon."""
     antenna = p_n + R_nb @ np.array(beacons.antenna_b_m)
     readings: list[Reading] = []
     period_ns = round(1e9 / beacons.rate_hz)

@@ -1,4 +1,4 @@
-"""Cameras in a scenario: rig, world, exposure and outages, as numbers; vision.synthetic draws the images."""
+"""Cameras in a scenario: rig, world, exposure, outages (vision.synthetic draws)."""
 
 from typing import Annotated, Literal
 
@@ -12,8 +12,8 @@ Pixels = Annotated[int, msgspec.Meta(ge=64, le=4096)]
 class Village(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The world below, and the map's errors.
 
-    layout: anywhere, along streets, or similar landmarks; area_m: side of the square, spacing_m: between buildings; clear_m: free
-    radius around the take-off; painted: share of strong colours; unmapped, gone: shares; seed: another village.
+    layout: anywhere, streets, or similar landmarks; area_m: side, spacing_m: between buildings; clear_m: around take-off;
+    painted: strong colours; unmapped, gone: shares; seed: another village.
     """
 
     layout: Literal["village", "grid", "lookalikes"] = "village"
@@ -30,10 +30,10 @@ class Village(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 
 
 class Cameras(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A stereo rig of `width` x `height` pixels that looks down by -pitch_deg (-90: straight down); one_camera: its left one.
+    """A stereo rig that looks down by -pitch_deg (-90: straight down); one_camera: left only.
 
-    sees: colour, grey (8 bit), or thermal (16 bit, night); exposure_s: motion blur; haze_per_m: extinction; light_swing: share;
-    jpeg_quality: 0: none; delay_s: exposure to arrival; outages_s: no images; dark_s: lens covered; odometry: visual odometry on.
+    sees: colour, grey (8 bit), thermal (16 bit, night); exposure_s; haze_per_m: extinction; light_swing: share; jpeg_quality: 0:
+    none; delay_s: exposure to arrival; outages_s: no images; dark_s: lens covered; odometry: on.
     """
 
     rate_hz: Rate = 2.0

@@ -1,4 +1,4 @@
-"""Faults: pure transforms of a list of messages, with name, interval and seed; they compose in order of arrival.
+"""Faults: pure transforms of messages that compose in order of arrival.
 
 messages' = fault(messages),   applied to messages of the fault's topics with  start_s <= t - epoch < end_s
 """
@@ -21,7 +21,7 @@ _FOOT = 0.3048  # m
 
 
 class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind"):
-    """When (seconds from the start; end_s left out: to the end), to which topics, and with which random numbers."""
+    """Interval (seconds from the start, open end), topics, random numbers."""
 
     start_s: NotNegative = 0.0
     end_s: NotNegative | None = None
@@ -32,7 +32,7 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         ascending("start_s, end_s", (self.start_s, math.inf if self.end_s is None else self.end_s))
 
     def apply(self, messages: list[Input], epoch_ns: int, origin: Origin | None, run_seed: int = 0) -> list[Input]:
-        """The faulty messages in order of arrival. Raises ValueError where a GNSS position must be moved without an origin."""
+        """Faulty messages in order of arrival. Raises ValueError for a GNSS move without origin."""
         rng = np.random.default_rng([self.seed, run_seed])
         end_s = math.inf if self.end_s is None else self.end_s
         result: list[Input] = []
@@ -51,7 +51,7 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 @dataclass(frozen=True, slots=True)
 class _Moment:
-    """What a fault may look at besides the message: seconds since its own start, n's place on Earth, random numbers."""
+    """A fault's context: seconds since its start, n's origin, random numbers."""
 
     since_s: float
     origin: Origin | None
@@ -73,13 +73,13 @@ class Drop(Fault, frozen=True, tag="drop"):
 
 
 class ImuDropout(Drop, frozen=True, tag="imu_dropout"):
-    """The IMU is silent; give the scenario ticks, so that the estimator's time goes on."""
+    """The IMU is silent; the scenario needs ticks."""
 
     topics: tuple[str, ...] = (IMU,)
 
 
 class Jam(Fault, frozen=True, tag="jam"):
-    """GNSS is gone: the receiver is silent, or goes on with status -1 and its last velocity lost (silent = false)."""
+    """GNSS is silent, or status -1 without velocity (silent = false)."""
 
     silent: bool = True
 
@@ -111,7 +111,7 @@ class SpoofPull(Fault, frozen=True, tag="spoof_pull"):
 
 
 class Meacon(Fault, frozen=True, tag="meacon"):
-    """A repeater: wherever the vehicle is, its receiver says where the repeater's antenna stands, at rest."""
+    """A repeater: the receiver reports the repeater's antenna, at rest."""
 
     place_n_m: Vec3 = (200.0, 200.0, -10.0)
 
@@ -127,7 +127,7 @@ class Meacon(Fault, frozen=True, tag="meacon"):
 
 
 class Late(Fault, frozen=True, tag="delay"):
-    """Messages arrive later than they did, by a constant or by a random [least, most]."""
+    """Messages arrive later, by a constant or random [least, most]."""
 
     topics: tuple[str, ...] = (POSE_FIX,)
     delay_s: Delay = 0.5
@@ -150,7 +150,7 @@ class Duplicate(Fault, frozen=True, tag="duplicate"):
 
 
 class Shuffle(Fault, frozen=True, tag="shuffle"):
-    """Messages are held back and delivered together, in random order, at the end of every window."""
+    """Messages are delivered together, shuffled, at each window's end."""
 
     topics: tuple[str, ...] = (POSE_FIX,)
     window_s: Positive = 2.0
@@ -163,7 +163,7 @@ class Shuffle(Fault, frozen=True, tag="shuffle"):
 
 
 class NotFinite(Fault, frozen=True, tag="not_finite"):
-    """A share of the messages carries a NaN or an infinity where a number should stand."""
+    """A share of messages carries NaN or infinity."""
 
     topics: tuple[str, ...] = (IMU, GNSS, VELOCITY, POSE_FIX)
     share: Share = 0.1
@@ -212,7 +212,7 @@ class ClockStep(Fault, frozen=True, tag="clock_step"):
 
 
 class WrongUnits(Fault, frozen=True, tag="wrong_units"):
-    """deg/s: gyro; g: accelerometer; no_gravity: it measures acceleration (level flight assumed); feet: positions of fixes."""
+    """deg/s: gyro; g: accelerometer; no_gravity: acceleration (level flight); feet: fixes."""
 
     topics: tuple[str, ...] = (IMU, GNSS, POSE_FIX)
     unit: Literal["deg/s", "g", "no_gravity", "feet"] = "deg/s"

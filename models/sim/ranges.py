@@ -14,7 +14,7 @@ Delay = float | Interval  # a constant, or [least, most] of a random one; checke
 
 
 def ascending(name: str, *ranges: Delay) -> None:
-    """Raises ValueError where a range is not [least, most], or a single number is negative."""
+    """Raises ValueError unless [least, most], or a number >= 0."""
     for given in ranges:
         least, most = given if isinstance(given, tuple) else (0.0, given)
         if not least <= most:

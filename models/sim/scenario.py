@@ -1,7 +1,6 @@
-"""A scenario: vehicle, sensors and faults; simulate(scenario, seed) -> messages and truth.
+"""A scenario (vehicle, sensors, faults); simulate(scenario, seed) -> messages and truth.
 
-Equal scenario and seed give equal messages. Each sensor has a random stream of its own, so that another sensor or delay leaves
-its values as they were.
+Each sensor has its own random stream: others do not change it.
 """
 
 from dataclasses import dataclass
@@ -28,10 +27,10 @@ _HOME = (47.3977, 8.5456, 488.0)  # lat_deg, lon_deg, alt_m: a field near Zurich
 
 
 class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Contents of a scenario file; sensors left out are not on board.
+    """Contents of a scenario file.
 
-    origin: deg, deg, m above the ellipsoid; none (geographic = false): no Earth rate, no GNSS; ticks_hz: of clock messages;
-    other_imus: at the same position, on /imu2, /imu3 and so on.
+    origin: deg, deg, m above the ellipsoid; geographic = false: no Earth rate, no GNSS; ticks_hz: clock messages; other_imus: on
+    /imu2, /imu3, ...
     """
 
     name: str = "scenario"
@@ -59,10 +58,10 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """The true motion at IMU rate; body against n, SI.
+    """True motion at IMU rate; body against n, SI.
 
-    t_ns (n,); p_n, v_n, omega_b (n, 3); q_nb_wxyz (n, 4); R_nb (n, 3, 3); gyro_b, accel_b (n, 3): of a perfect IMU;
-    gyro_bias, accel_bias (n, 3).
+    t_ns (n,); p_n, v_n, omega_b (n, 3); q_nb_wxyz (n, 4); R_nb (n, 3, 3); gyro_b, accel_b (n, 3): perfect IMU; gyro_bias,
+    accel_bias (n, 3).
     """
 
     t_ns: NDArray[np.int64]
@@ -84,9 +83,9 @@ class Truth:
 
 @dataclass(frozen=True, slots=True)
 class Simulation:
-    """Messages in order of arrival, the truth, and which pose fixes are false (t_ns).
+    """Messages in order of arrival, truth, t_ns of false pose fixes.
 
-    imu_noise: the grade's densities; config_toml: the configuration that fits.
+    imu_noise: of the grade; config_toml: fitting configuration.
     """
 
     messages: list[Input]
@@ -98,7 +97,7 @@ class Simulation:
 
 
 def simulate(scenario: Scenario, seed: int) -> Simulation:
-    """One run of the scenario. Raises ValueError for a fault that needs what the scenario does not have."""
+    """One run. Raises ValueError for a fault whose needs are missing."""
     for_course, for_imu, for_gnss, for_fixes, for_air, for_others, for_beacons = np.random.default_rng(seed).spawn(7)
     origin = Origin(*scenario.origin) if scenario.geographic else None
     air = blow(scenario.wind, for_air) if scenario.wind else None
@@ -159,7 +158,7 @@ def _truth(t_ns: NDArray[np.int64], motion: Motion, record: ImuRecord) -> Truth:
 
 
 def _config_toml(scenario: Scenario, noise: ImuNoise) -> str:
-    """The landfix configuration with the values that an engineer has for these sensors: grade, lever arm, delay and origin."""
+    """The configuration an engineer would have: grade, lever arm, delay, origin."""
     lines = ["[imu]", 'axes = "flu"']
     lines += [f"{name} = {value!r}" for name, value in msgspec.structs.asdict(noise).items()]
     imus = [f'"{topic}"' for topic in (_topic(ImuSample), *map(_other_topic, range(len(scenario.other_imus))))]

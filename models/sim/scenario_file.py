@@ -1,4 +1,4 @@
-"""A scenario from TOML text, strictly: a key that does not exist is refused by name, with the nearest one that does."""
+"""A scenario from TOML, strictly: unknown keys are refused by name."""
 
 import difflib
 import math
@@ -20,7 +20,7 @@ class ScenarioError(ValueError):
 
 
 def loads(text: str | bytes, name: str = "scenario") -> Scenario:
-    """The scenario of a TOML text, or of a file's bytes; `name` is what the user calls it. Raises ScenarioError."""
+    """The scenario of a TOML text or bytes, called `name`. Raises ScenarioError."""
     try:
         table = toml_text.table(toml_text.decode(text) if isinstance(text, bytes) else text)
         _check(mi.type_info(Scenario), table, "")
@@ -33,7 +33,7 @@ def loads(text: str | bytes, name: str = "scenario") -> Scenario:
 
 
 def _check(info: mi.Type, value: Any, path: str) -> None:
-    """Walks the values along the types; raises ScenarioError at the first unknown key, kind, or number that is not finite."""
+    """Check values by type. Raises ScenarioError for unknown keys and non-finite numbers."""
     if isinstance(value, float) and not math.isfinite(value):
         raise ScenarioError(f"{path} = {value}: must be a finite number")
     if isinstance(value, list):

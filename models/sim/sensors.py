@@ -1,4 +1,4 @@
-"""The IMU: specific force and rate of the true motion, and the errors of a grade of instrument (Groves 2013, eq. 5.28, 5.44).
+"""The IMU: true specific force and rate, errors of a grade (Groves 2013, eq. 5.28, 5.44).
 
 f_b     = R_nb^T (a_n + 2 w_ie x v_n - g_n(p))          w_ie: Earth rate, 0 without an origin
 omega_b = omega_nb + R_nb^T w_ie
@@ -25,7 +25,7 @@ _MILLI_G = 1e-3 * GRAVITY
 
 @dataclass(frozen=True, slots=True)
 class Grade:
-    """An instrument class: its noise, and the standard deviations of the bias it wakes up with (rad/s, m/s^2)."""
+    """An instrument class: noise, and sigmas of the turn-on bias (rad/s, m/s^2)."""
 
     noise: ImuNoise
     gyro_turn_on: float
@@ -53,10 +53,10 @@ GRADES = {
 
 
 class Imu(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """An IMU of a grade; errors of the second group are unknown to the filter's model (off by default).
+    """An IMU of a grade; the second group is unknown to the filter (off by default).
 
-    turn_on: factor on the initial bias; delay_s: to arrival; noise_multiplier: of the white noise; scale_sigma: ratio;
-    misalignment_deg: of each axis; *_step: quantisation; *_limit: saturation.
+    turn_on: factor on the bias; delay_s; noise_multiplier; scale_sigma; misalignment_deg: of each axis; *_step: quantisation;
+    *_limit: saturation.
     """
 
     grade: Literal["hobby", "flight_controller", "industrial", "tactical"] = "flight_controller"
@@ -86,7 +86,7 @@ class ImuRecord:
 
 
 def gravity_n(p_n: Array, origin: Origin | None) -> Array:
-    """Gravity (n, 3) [m/s^2] at p_n (n, 3) in n's axes, g(lat, h) * down(lat, lon); standard where the origin is unknown."""
+    """Gravity (n, 3) [m/s^2] at p_n (n, 3), g(lat, h) * down(lat, lon); standard without origin."""
     if origin is None:
         return np.broadcast_to([0.0, 0.0, GRAVITY], p_n.shape)
     lat, lon, alt = pymap3d.ned2geodetic(*p_n.T, origin.lat_deg, origin.lon_deg, origin.alt_m, deg=True)
@@ -99,7 +99,7 @@ def gravity_n(p_n: Array, origin: Origin | None) -> Array:
 
 
 def feel(motion: Motion, origin: Origin | None) -> tuple[Array, Array]:
-    """omega_b (rad/s) and f_b (m/s^2), each (n, 3), that a perfect IMU at the body's origin measures."""
+    """omega_b (rad/s), f_b (m/s^2), (n, 3), of a perfect IMU."""
     earth_rate = origin.earth_rate_n if origin else np.zeros(3)
     f_n = motion.a_n + 2.0 * np.cross(earth_rate, motion.v_n) - gravity_n(motion.p_n, origin)
     return motion.omega_b + earth_rate @ motion.R_nb, np.einsum("kij,ki->kj", motion.R_nb, f_n)
@@ -132,7 +132,7 @@ def _walk(turn_on: float, walk: float, n: int, dt: float, rng: np.random.Generat
 
 
 def _distortion(imu: Imu, rng: np.random.Generator) -> Array:
-    """M = I + scale errors on the diagonal + cross-axis couplings off it, (3, 3)."""
+    """M (3, 3) = I + scale errors + cross-axis couplings."""
     M = math.radians(imu.misalignment_deg) * rng.standard_normal((3, 3))
     M[np.diag_indices(3)] = 1.0 + imu.scale_sigma * rng.standard_normal(3)
     return M

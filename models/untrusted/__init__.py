@@ -1,4 +1,4 @@
-"""The door for bytes from outside: bounds on unpacking and decoding, and one boundary for unreadable files.
+"""Bytes from outside: bounds on unpacking and decoding, one boundary for unreadable files.
 
     limits          the bounds, relative to the compressed size and absolute
     file            a file that a person names
