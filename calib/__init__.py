@@ -1,4 +1,4 @@
-"""Cameras, stereo rig and camera-IMU pose, estimated from recordings, each with a report.
+"""Calibration of cameras, stereo rig and camera-IMU pose from recordings, with reports.
 
 May import vision and models, numpy, scipy and OpenCV; no filter.
 """

@@ -2,4 +2,4 @@
 
 
 class CalibrationError(ValueError):
-    """A file, recording or set of images that cannot be used; the text is one line for a person."""
+    """An unusable file, recording or set of images, in one line."""

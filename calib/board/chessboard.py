@@ -1,4 +1,4 @@
-"""Corners of a chessboard or ChArUco board in an image, to a part of a pixel (thesis 5.1.1, steps 2-6).
+"""Sub-pixel corners of a chessboard or ChArUco board (thesis 5.1.1, steps 2-6).
 
 grey -> median 5 -> contrast stretch -> find the board -> corners refined on the grey image (corners.py).
 """
@@ -37,7 +37,7 @@ class Why(StrEnum):
 
 @dataclass(frozen=True)
 class Board:
-    """columns x rows inner corners of squares of square_m; marker_m > 0: a ChArUco board with markers of that size."""
+    """columns x rows inner corners, squares of square_m; marker_m > 0: ChArUco."""
 
     columns: int = 9
     rows: int = 6
@@ -55,7 +55,7 @@ class Board:
 
     @cached_property
     def points(self) -> Array:
-        """Corners (N, 3) in the board's frame o [m]: x along the columns, y along the rows, z = 0."""
+        """Corners (N, 3) in o [m]: x along columns, y along rows, z = 0."""
         grid = np.mgrid[0 : self.columns, 0 : self.rows].T.reshape(-1, 2)
         return np.column_stack((self.square_m * grid, np.zeros(len(grid))))
 
@@ -66,7 +66,7 @@ class Board:
 
     @property
     def ends_alike(self) -> bool:
-        """Whether the board looks the same upside down, so that it is ambiguous at which end corner 0 is."""
+        """Whether the board looks the same upside down: the end of corner 0 is ambiguous."""
         return self.marker_m == 0.0 and (self.columns + self.rows) % 2 == 0
 
     @cached_property
@@ -78,7 +78,7 @@ class Board:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A board as one camera sees it: corner `ids` of Board.points at px (N, 2); edge_px: width of its edges (sharpness)."""
+    """Corners `ids` of Board.points at px (N, 2) in one camera; edge_px: sharpness."""
 
     name: str
     width: int
@@ -114,7 +114,7 @@ def find(image: Image, board: Board, name: str = "") -> View | Why:
 
 
 def size_seen(image: Image, board: Board) -> tuple[int, int] | Why | None:
-    """Another number of inner corners that an image shows a board of, the largest; BLURRED where its edges are; None: none."""
+    """Another number of inner corners that an image shows; BLURRED edges; None: none."""
     grey_image = grey(image)
     near = [(board.columns + i, board.rows + j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
     sizes = sorted({*near, *_OTHER_SIZES} - {board.size}, key=lambda s: -s[0] * s[1])
@@ -126,7 +126,7 @@ def size_seen(image: Image, board: Board) -> tuple[int, int] | Why | None:
 
 
 def size_around(image: Image, board: Board) -> tuple[int, int] | None:
-    """The inner corners of the larger chessboard of which the found board is a part; None: none."""
+    """Inner corners of a larger chessboard around the found one; None: none."""
     grey_image, size = grey(image), board.size
     larger: tuple[int, int] | None = size
     while larger is not None and board.marker_m == 0.0:
@@ -141,7 +141,6 @@ def _is_blurred(edge_px: float, px: Array, board: Board) -> bool:
 
 
 def _find_chessboard(grey_image: Grey, size: tuple[int, int]) -> Array | None:
-    """Corners (N, 2) roughly, row by row."""
     enhanced = stretch(median(grey_image))
     shrink = max(1.0, max(grey_image.shape) / _SEARCH_PX)
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
@@ -170,9 +169,9 @@ def _find_charuco(grey_image: Grey, board: Board) -> tuple[NDArray[np.int64], Ar
 
 
 def _turned(grey_image: Grey, px: Array, board: Board) -> bool:
-    """Whether corner 0 is at the wrong end: the square inside corners 0 and columns + 1 must be the darker kind.
+    """Whether corner 0 is at the wrong end: the square inside it must be dark.
 
-    With an even number of squares between the ends both look alike; stereo and camera-imu then compare images.
+    Ambiguous with an even number of squares between the ends.
     """
     if board.ends_alike:
         return False
@@ -181,7 +180,7 @@ def _turned(grey_image: Grey, px: Array, board: Board) -> bool:
 
 
 def _edge_width(grey_image: Grey, px: Array, board: Board) -> float:
-    """Pixels that the board's edges take from 10 to 90 % of their height; 0 where squares are too small."""
+    """Pixels of the edges from 10 to 90 %; 0 where squares are too small."""
     corners = px.astype(np.float32).reshape(-1, 1, 2)
     width = float(np.ravel(cv2.estimateChessboardSharpness(grey_image, board.size, corners)[0])[0])
     return width if width < _UNKNOWN_PX else 0.0

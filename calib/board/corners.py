@@ -1,11 +1,11 @@
-"""Corners of a chessboard to a part of a pixel, from rough ones; size: inner corners, columns and rows.
+"""Sub-pixel corners of a chessboard from rough ones; size: inner corners, columns and rows.
 
-The window follows the local size of the squares. A corner off its neighbours' pattern is put back and refined again, unless the
-image is more of a saddle where it went. Bias by edges of curvature kappa, taken back:
+The window follows the squares' size. A corner off the pattern is refined again, unless it is more of a saddle. Corrected bias by
+edges of curvature kappa:
 
     y_refined = -kappa <x^2> / 2,   <x^2> = w^2 (1/2 - L exp(-L^2) / (sqrt(pi) erf(L))),   weights exp(-x^2 / w^2), |x| < L w
 
-Bias by light that falls off: the image is first divided by the light on the board, a quadratic through its bright squares.
+Uneven light is divided out, a quadratic through the bright squares.
 """
 
 from typing import Final
@@ -30,7 +30,7 @@ _LIGHT: Final = (0.2, 5.0)  # of its mean on the board: beyond, away from the bo
 
 
 def refined(image: Grey, corners: Array, size: Size) -> Array:
-    """Corners to a part of a pixel; one off the pattern is refined again from there, and stays if it is more of a saddle."""
+    """Sub-pixel corners; one off the pattern is refined again from there."""
     even = (image / _light(image, corners, size)).astype(np.float32)
     smooth = np.asarray(cv2.GaussianBlur(even, (0, 0), _SMOOTHING_PX), dtype=np.float32)
     windows = _windows(image, corners, _FIRST_WINDOW * spacing(corners, size))
@@ -44,7 +44,7 @@ def refined(image: Grey, corners: Array, size: Size) -> Array:
 
 
 def _light(image: Grey, px: Array, size: Size) -> Level:
-    """White at each pixel over its mean on the board; with few squares a plane, or constant."""
+    """White at each pixel over its mean on the board; a plane or constant with few squares."""
     middles = middles_of(px, size)
     levels, first = levels_at(image, middles), is_first_kind(size)
     bright = first if levels[first].mean() > levels[~first].mean() else ~first
@@ -65,13 +65,13 @@ def _quadratic(x: Array, y: Array) -> Array:
 
 
 def middles_of(px: Array, size: Size) -> Array:
-    """Where the squares between the corners (N, 2) have their middles (M, 2) [px], row by row."""
+    """Middles (M, 2) [px] of squares between corners (N, 2), row by row."""
     grid = px.reshape(size[1], size[0], 2)
     return np.asarray(0.25 * (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]).reshape(-1, 2))
 
 
 def is_first_kind(size: Size) -> NDArray[np.bool_]:
-    """Which of these squares are of the colour of the one inside corners 0 and columns + 1."""
+    """Which squares have the colour of the one inside corner 0."""
     return np.asarray((np.add.outer(np.arange(size[1] - 1), np.arange(size[0] - 1)) % 2 == 0).ravel())
 
 
@@ -82,21 +82,20 @@ def levels_at(image: Grey, px: Array) -> Array:
 
 
 def _saddle(image: Level, px: Array) -> Array:
-    """I_xy^2 - I_xx I_yy at px (N, 2): large at a chessboard's corner, near 0 on edges."""
+    """I_xy^2 - I_xx I_yy at px (N, 2): large at corners, near 0 on edges."""
     xx, yy, xy = (cv2.Sobel(image, cv2.CV_64F, i, j, ksize=5) for i, j in ((2, 0), (0, 2), (1, 1)))
     u, v = np.clip(np.rint(px), 0, np.array(image.shape[::-1]) - 1).astype(np.int64).T
     return np.asarray((xy * xy - xx * yy)[v, u])
 
 
 def _windows(image: Grey, px: Array, half_px: Array) -> NDArray[np.int64]:
-    """Half windows (N,) [px] as near to half_px as serves a corner and as the image holds."""
+    """Half windows (N,) [px] near half_px, within corner and image."""
     height, width = image.shape
     to_border = np.minimum(px, np.array([width - 1.0, height - 1.0]) - px).min(axis=1)
     return np.asarray(np.maximum(np.minimum(np.clip(half_px, *_WINDOW_PX), to_border - 2.0), _LEAST_PX), dtype=np.int64)
 
 
 def _sub_pixel(image: Level, px: Array, windows: NDArray[np.int64]) -> Array:
-    """cornerSubPix with a window of its own for each corner."""
     refined = px.copy()
     for w in np.unique(windows):
         some = windows == w
@@ -106,7 +105,7 @@ def _sub_pixel(image: Level, px: Array, windows: NDArray[np.int64]) -> Array:
 
 
 def _straightened(px: Array, windows: NDArray[np.int64], size: Size) -> Array:
-    """Corners (N, 2) without the pull of their curved edges; curvature from the neighbours along both edges."""
+    """Corners (N, 2) corrected for curved edges."""
     grid = px.reshape(size[1], size[0], 2)
     normals, pulls = [], []
     for axis in (0, 1):
@@ -134,7 +133,7 @@ def spacing(px: Array, size: Size) -> Array:
 
 
 def _pattern(px: Array, size: Size) -> tuple[Array, NDArray[np.bool_]]:
-    """Where a homography and a cubic for the lens put the corners, fitted robustly, and which corners are off it."""
+    """Corners by a robust homography and cubic, and which are off it."""
     xy = np.mgrid[0 : size[0], 0 : size[1]].T.reshape(-1, 2).astype(np.float64)
     H, _ = cv2.findHomography(xy, px, cv2.LMEDS)
     if H is None:

@@ -1,5 +1,4 @@
-"""One camera, a stereo rig, a camera against surveyed points: estimate, bundle adjustment, covariance. Begin with `mono` and
-`stereo`.
+"""One camera, a stereo rig, surveyed points: estimate, bundle adjustment, covariance. Begin with `mono` and `stereo`.
 
 May import calib.board, calib.files and calib.errors, vision and models.
 """

@@ -1,4 +1,4 @@
-"""Where the board is in each image of a recording, with covariance: x_c = R_co @ x_o + t_co."""
+"""Board poses in a recording, with covariance: x_c = R_co @ x_o + t_co."""
 
 import contextlib
 from collections.abc import Callable, Sequence
@@ -21,9 +21,9 @@ _OUTLIER: Final = 5.0  # times the residual of the middle view
 
 @dataclass(frozen=True)
 class BoardPoses:
-    """R_co (M, 3, 3), t_co (M, 3), covariance (M, 6, 6) of (t, rotation about the axes of c) by noise of the corners, sigma_px.
+    """R_co (M, 3, 3), t_co (M, 3), covariance (M, 6, 6) of (t, rotation about c) by corner noise, sigma_px.
 
-    by_lens (M, 6, k): derivative of a pose by the lens' parameters; lens_covariance (k, k), None = exact.
+    by_lens (M, 6, k): derivative by lens parameters; lens_covariance (k, k), None = exact.
     """
 
     R_co: Array
@@ -46,7 +46,7 @@ class BoardPoses:
 
 
 def read_from_one_end(views: Sequence[View], board: Board) -> list[View]:
-    """Views in order of time; a board that looks the same upside down is read from the same end as in the view before."""
+    """Views in order of time, an ambiguous board read from the same end throughout."""
     if not board.ends_alike:
         return list(views)
     same = [views[0]]
@@ -59,7 +59,7 @@ def read_from_one_end(views: Sequence[View], board: Board) -> list[View]:
 def board_poses(
     views: Sequence[View], board: Board, camera: CameraModel, progress: Callable[[float], None] | None = None
 ) -> tuple[BoardPoses, NDArray[np.int64]]:
-    """Poses by least squares, and their views; a view whose corners fit far worse than the others' is left out."""
+    """Least-squares poses and their views, without outlier views."""
     report = progress or (lambda _: None)
     solved: list[tuple[int, Solution]] = []
     for k, view in enumerate(views):
@@ -83,7 +83,7 @@ def board_poses(
 
 
 def _information(camera: CameraModel, solution: Solution) -> tuple[Array, Array]:
-    """J^T J (6, 6) of a view's pose, and the pose's derivative by the lens' parameters (6, k)."""
+    """J^T J (6, 6) of a pose, and its derivative by the lens (6, k)."""
     seen, pose = solution.problem.views[0][0], solution.problem.poses[0]
     assert seen is not None
     x_c = pose.of(seen.x_o)

@@ -1,9 +1,9 @@
-"""Bundle adjustment of one or two cameras that see a board in several poses: least squares, marginal covariance.
+"""Bundle adjustment of one or two cameras and a board: least squares, marginal covariance.
 
     x_1 = R x_o + t,   x_k = R_k x_1 + t_k,   px = pi_k(x_k) + e        (o = board, 1 = first camera)
 
-Shared unknowns s: (fx fy cx cy *distortion) of each camera, then (t_k, rotation) of each further one; per view (t, rotation),
-R <- exp(dtheta) R. The views are eliminated; the covariance is sigma^2 H^-1, more where corners err together (covariance.py):
+Shared unknowns s: (fx fy cx cy *distortion) per camera, (t_k, rotation) per further one; per view (t, rotation), R <- exp(dtheta)
+R, eliminated. Covariance sigma^2 H^-1, widened by common errors (covariance.py):
 
     H = sum J_s^T J_s - J_s^T J_v (J_v^T J_v)^-1 J_v^T J_s
 """
@@ -28,7 +28,7 @@ _POSE = 6
 
 
 class Seen(NamedTuple):
-    """Corners that one camera sees in one view: board points x_o (N, 3) at px (N, 2)."""
+    """Corners of a camera in a view: board points x_o (N, 3) at px (N, 2)."""
 
     x_o: Array
     px: Array
@@ -65,9 +65,9 @@ def rotation_vector(R: Array) -> Array:
 
 @dataclass(frozen=True)
 class Problem:
-    """cameras and their places (places[0] = IDENTITY), `views[i][k]`: corners of camera k in view i, poses[i]: the board in it.
+    """cameras, places (places[0] = IDENTITY), `views[i][k]`: corners of camera k, poses[i]: the board.
 
-    free: estimated parameters, one row a camera; (): none, nor the places.
+    free: estimated parameters, a row per camera; (): none, nor places.
     """
 
     cameras: tuple[CameraModel, ...]
@@ -91,10 +91,9 @@ class Problem:
 
 @dataclass(frozen=True)
 class Solution:
-    """The adjusted problem; `residuals[i][k]` (N, 2) measured minus predicted [px]; covariance of all shared unknowns (fixed: 0).
+    """`residuals[i][k]` (N, 2) measured minus predicted [px]; covariance of all shared unknowns (fixed: 0).
 
-    rms: of the residuals' lengths; widened: mean factor on the variances for errors common to a view; bow: of the board, over
-    its length.
+    rms: of lengths; widened: variance factor for common errors; bow: of the board, over its length.
     """
 
     problem: Problem
@@ -143,7 +142,7 @@ def adjust(problem: Problem) -> Solution:
 
 
 class _Terms(NamedTuple):
-    """Residual (M,) of a view, derivatives by the free shared unknowns (M, m), the view's pose (M, 6), the bow (M, 3)."""
+    """Residual (M,) of a view, derivatives by shared unknowns (M, m), pose (M, 6), bow (M, 3)."""
 
     r: Array
     J_s: Array
@@ -175,15 +174,15 @@ def _terms(problem: Problem, i: int, mask: NDArray[np.bool_]) -> _Terms:
 
 
 def _bow_modes(x_o: Array) -> Array:
-    """x^2, x y, y^2 (N, 3) [m^2]; about which point does not matter, the pose takes what is linear."""
+    """x^2, x y, y^2 (N, 3) [m^2]; the pose takes linear terms."""
     x, y = x_o[:, :2].T
     return np.column_stack((x * x, x * y, y * y))
 
 
 def _reduced(t: _Terms, damping: float) -> tuple[Array, Array, Array, Array]:
-    """A view's part of H and of the gradient with its pose eliminated, and (B, b): its pose moves by b - B ds.
+    """A view's part of H and gradient, pose eliminated, and (B, b): pose step b - B ds.
 
-    (J_s r) loses its part along J_v = Q R; damping is rows sqrt(damping) |J_v| below. The product with itself is never negative.
+    J_v = Q R, with rows sqrt(damping) |J_v|, is projected out of (J_s r): never negative.
     """
     damped = np.vstack((t.J_v, np.diag(np.sqrt(damping) * np.linalg.norm(t.J_v, axis=0))))
     Q, R = np.linalg.qr(damped)
@@ -203,7 +202,7 @@ def _step(terms: list[_Terms], damping: float, m: int) -> tuple[Array, list[Arra
 
 
 def _moved(problem: Problem, mask: NDArray[np.bool_], ds: Array, dv: list[Array]) -> Problem | None:
-    """The problem after a step; None where it leaves what a camera can be, or a corner is no longer seen."""
+    """The problem after a step; None where cameras become invalid or corners unseen."""
     d = np.zeros(len(mask))
     d[mask] = ds
     cameras, at = [], 0

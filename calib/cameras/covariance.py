@@ -1,14 +1,14 @@
-"""Covariance of a bundle adjustment's shared unknowns s where corners err together, within a view or alike in all views.
+"""Covariance of shared unknowns s with corner errors common to a view, or to all views.
 
     C = sigma^2 H^-1,   sigma^2 = r^T r / redundancy,   H = sum H_i over the views      (independent errors)
 
-With s = W z, W^T H W = I, a view's gradient g_i holds the error its corners share (Bell & McCaffrey 2002):
+With s = W z, W^T H W = I, a view's gradient g_i shows its common error (Bell & McCaffrey 2002):
 
     y_i = (I - M_i)^-1/2 W^T g_i,   M_i = W^T H_i W,   E[y_i y_i^T] = sigma^2 M_i for independent errors,   sum M_i = I
     f = sum |y_i|^2 / (m sigma^2),   sum y_i y_i^T = f sigma^2 V diag(lambda) V^T
 
-C is widened by f, and by lambda along the directions where that is above 1. A board bowed alike in all views,
-z_o = b_1 x^2 + b_2 x y + b_3 y^2, moves s by d = H^-1 H_sb b; where b is significant, C + d d^T.
+C is widened by f, and by lambda > 1 along its directions. A bow z_o = b_1 x^2 + b_2 x y + b_3 y^2 moves s by d = H^-1 H_sb b;
+where significant, C + d d^T.
 """
 
 from typing import Final, NamedTuple
@@ -23,7 +23,7 @@ _BOW_SEEN: Final = 21.1  # chi-square of 3, 1e-4
 
 
 class Spread(NamedTuple):
-    """How well s (m,) is known: covariance (m, m), f, and the variance's mean factor over sigma^2 H^-1."""
+    """covariance (m, m) of s, f, and the mean variance factor over sigma^2 H^-1."""
 
     covariance: Array
     f: float
@@ -31,7 +31,7 @@ class Spread(NamedTuple):
 
 
 def marginal(H_i: Array, g_i: Array, sigma2: float) -> Spread:
-    """C from the views' parts of the normal equations (n, m, m), (n, m); sigma2: variance of a corner's coordinate [px^2]."""
+    """C from views' normal equations (n, m, m), (n, m); sigma2: of a coordinate [px^2]."""
     W = _whitening(H_i.sum(axis=0))
     y, part = _in_common(W.T @ H_i @ W, g_i @ W)
     square, expected = float(np.sum(y * y)), sigma2 * float(part.sum())
@@ -45,7 +45,7 @@ def marginal(H_i: Array, g_i: Array, sigma2: float) -> Spread:
 
 
 def _in_common(M_i: Array, g_i: Array) -> tuple[Array, Array]:
-    """y_i (n, m) and the eigenvalues of M_i (n, m, m), from W^T g_i (n, m); 0 along directions that one view alone determines."""
+    """y_i (n, m) and eigenvalues of M_i (n, m, m), from W^T g_i; 0 along directions of one view alone."""
     part, axes = np.linalg.eigh(M_i)
     part = np.where(part < _ALONE, np.maximum(part, 0.0), 0.0)
     weight = np.where(part > 0.0, 1.0 / np.sqrt(1.0 - part), 0.0)
@@ -54,9 +54,9 @@ def _in_common(M_i: Array, g_i: Array) -> tuple[Array, Array]:
 
 
 def bowed(H: Array, g: Array, sigma2: float, length_m: float) -> tuple[float, Array]:
-    """The board's bow over its length, and its effect on s; nothing where it is not significant.
+    """The board's bow over its length, and its effect on s; 0 unless significant.
 
-    H (m + 3, m + 3), g (m + 3,): normal equations of (s, b); sigma2: variance of a coordinate, widened.
+    H (m + 3, m + 3), g (m + 3,): of (s, b); sigma2: widened.
     """
     m = len(g) - 3
     W = _whitening(H[:m, :m])
@@ -69,7 +69,7 @@ def bowed(H: Array, g: Array, sigma2: float, length_m: float) -> tuple[float, Ar
 
 
 def _whitening(H: Array) -> Array:
-    """W with W^T H W = I, for a normal matrix of unknowns of different units."""
+    """W with W^T H W = I, for unknowns of different units."""
     scale = np.sqrt(np.clip(np.diagonal(H), 1e-300, None))
     values, axes = np.linalg.eigh(H / np.outer(scale, scale))
     known = values > 1e-14 * values[-1]

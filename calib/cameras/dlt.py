@@ -4,7 +4,7 @@
     D F = R,   F = (D^T D)^-1 D^T R   with a44 = 1                                                      (eq. 3.49-3.51)
     A ~ K [R_co | t_co],   camera location p_o = -R_co^T t_co                                           (eq. 3.74-3.77)
 
-The third row of A is a41 ... a44 as in the thesis (Abdel-Aziz and Karara 1971).
+The third row of A is a41 ... a44 (Abdel-Aziz and Karara 1971).
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ _FLAT: Final = 1e-3  # thickness of the points' cloud over its length: flatter i
 
 @dataclass(frozen=True)
 class Decomposition:
-    """K (3, 3) with K[2, 2] = 1, x_c = R_co @ (x_o - p_o); pan and tilt [rad] of the optical axis (thesis eq. 3.79, 3.80)."""
+    """K (3, 3), K[2, 2] = 1, x_c = R_co @ (x_o - p_o); pan, tilt [rad] of the axis (thesis eq. 3.79, 3.80)."""
 
     K: Array
     R_co: Array
@@ -32,9 +32,9 @@ class Decomposition:
 
 
 def camera_matrix(x_o: Array, px: Array) -> Array:
-    """A (3, 4) with A[2, 3] = 1 from points x_o (N, 3) [m] at pixels px (N, 2), N >= 6, not in one plane.
+    """A (3, 4) with A[2, 3] = 1 from x_o (N, 3) [m] at px (N, 2), N >= 6, not coplanar.
 
-    Raises CalibrationError, also for a camera in the plane a41 X + a42 Y + a43 Z = 0 through the origin (a44 = 0).
+    Raises CalibrationError, also for a44 = 0.
     """
     if len(x_o) != len(px) or len(x_o) < _FEWEST:
         raise CalibrationError(f"{len(x_o)} points in space and {len(px)} in the image; {_FEWEST} or more of each are needed")
@@ -74,7 +74,7 @@ def decompose(A: Array) -> Decomposition:
 
 
 def _normalising(x: Array) -> Array:
-    """Takes points to mean 0 and mean distance sqrt(d): the equations' numbers become alike (Hartley 1997)."""
+    """Points to mean 0 and mean distance sqrt(d) (Hartley 1997)."""
     d = x.shape[1]
     scale = np.sqrt(d) / np.mean(np.linalg.norm(x - x.mean(axis=0), axis=1))
     T: Array = np.eye(d + 1) * scale

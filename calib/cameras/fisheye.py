@@ -1,4 +1,4 @@
-"""The first estimate of a fisheye camera: OpenCV's equidistant calibration, written as the rational model that equals it."""
+"""First estimate of a fisheye: OpenCV's equidistant calibration as the equal rational model."""
 
 import cv2
 import numpy as np

@@ -1,6 +1,6 @@
-"""One camera from views of a board: Zhang's plane-based calibration (thesis eq. 3.52-3.72, OpenCV's), then our bundle adjustment.
+"""One camera from a board: Zhang's calibration (thesis eq. 3.52-3.72), then bundle adjustment.
 
-A view that fits far worse than the others is dropped; views left out test the prediction.
+Outlier views are dropped; held-out views test the prediction.
 """
 
 from collections.abc import Callable, Sequence
@@ -52,16 +52,14 @@ class Dropped:
 
 
 class HeldOut(NamedTuple):
-    """Views without a part in a calibration: rms [px] of those that it predicts (nan: none); beyond: share of the views before
-    whose corners the lens model folds.
-    """
+    """Held-out views: rms [px] (nan: none); beyond: share whose corners the lens model folds."""
 
     rms: float
     beyond: float
 
     @classmethod
     def of(cls, rms: Sequence[float]) -> "HeldOut":
-        """From the residual of each view, nan where the lens model cannot have made it."""
+        """From residuals per view, nan where the lens model folds."""
         r = np.array(rms)
         return cls(float(np.sqrt(np.nanmean(r * r))) if np.isfinite(r).any() else float("nan"), float(np.mean(np.isnan(r))))
 
@@ -130,7 +128,7 @@ def _zhang(x_o: list[Array], px: list[Array], size: tuple[int, int], lens: Lens)
 
 
 def without_outliers(problem: Problem, names: Sequence[str]) -> tuple[Solution, list[int], list[Dropped]]:
-    """Adjusted without the views that fit far worse than the others; the worst goes first."""
+    """Adjusted without outlier views, the worst removed first."""
     kept, dropped = list(range(len(problem.views))), list[Dropped]()
     while True:
         solution = adjust(problem.only(kept))
@@ -147,7 +145,7 @@ def without_outliers(problem: Problem, names: Sequence[str]) -> tuple[Solution, 
 
 
 def cross_validate(solution: Solution) -> tuple[HeldOut, Array]:
-    """Fit of views left out, over F folds, and the change of fx fy cx cy between folds in units of sigma / sqrt(F - 1)."""
+    """Fit of held-out views over F folds, change of fx fy cx cy in sigma / sqrt(F - 1)."""
     problem, views = solution.problem, len(solution.problem.views)
     folds = min(_FOLDS, views)
     sigma = np.sqrt(np.diagonal(solution.covariance)[:4]) / np.sqrt(max(folds - 1, 1))
@@ -163,7 +161,7 @@ def cross_validate(solution: Solution) -> tuple[HeldOut, Array]:
 
 
 def _rms_or_nan(problem: Problem) -> float:
-    """Residual; nan where the lens model folds before the corners, so that it cannot predict them at all."""
+    """Residual; nan where the lens model folds before the corners."""
     try:
         return adjust(problem).rms
     except CalibrationError:
@@ -171,7 +169,7 @@ def _rms_or_nan(problem: Problem) -> float:
 
 
 def predicted_rms(camera: CameraModel, view: View, board: Board) -> float:
-    """RMS of a view with only its pose adjusted [px], nan where the lens model cannot have made it."""
+    """RMS of a view, pose alone adjusted [px]; nan as above."""
     seen = Seen(board.points[view.ids], view.px)
     if np.isnan(camera.undistort(view.px)).any():
         return float("nan")
@@ -179,7 +177,7 @@ def predicted_rms(camera: CameraModel, view: View, board: Board) -> float:
 
 
 def board_pose(camera: CameraModel, seen: Seen) -> Pose:
-    """Where the board is: x_c = R @ x_o + t, by the plane's homography (IPPE), not yet refined."""
+    """Board pose x_c = R @ x_o + t by the plane's homography (IPPE), unrefined."""
     plane = camera.undistort(seen.px).reshape(-1, 1, 2)
     _, rvec, tvec = cv2.solvePnP(seen.x_o, plane, np.eye(3), np.zeros(4), flags=cv2.SOLVEPNP_IPPE)
     return Pose.of_vectors(rvec, tvec)

@@ -1,4 +1,4 @@
-"""Which images of a recording to calibrate with: about twenty that differ most, and whether they differ enough."""
+"""About twenty images that differ most, and whether that is enough."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -28,8 +28,7 @@ def check_sizes(views: Sequence[View], what: str = "images") -> None:
 
 
 def choose(views: Sequence[View], board: Board, count: int = ENOUGH) -> list[int]:
-    """Indices of at most `count` views, farthest first by the mean distance of corners [image diagonals], beginning with the
-    sharpest.
+    """At most `count` views, farthest first by mean corner distance [diagonals], from the sharpest.
 
     Raises CalibrationError where fewer than FEWEST differ.
     """
@@ -65,7 +64,7 @@ def coverage(views: Sequence[View]) -> NDArray[np.int64]:
 
 
 def _outlines(views: Sequence[View], board: Board) -> Array:
-    """The board's four end corners in each view (V, 8), in diagonals of the image; hidden ones from a homography."""
+    """Four end corners per view (V, 8), in image diagonals; hidden ones by homography."""
     ends = board.points[[0, board.columns - 1, -board.columns, -1], :2]
     out = np.empty((len(views), 8))
     for k, v in enumerate(views):

@@ -1,6 +1,6 @@
-"""Two cameras from pairs of images of a board: x_r = R_rc @ x_c + t_rc (thesis 3.8-3.9, 5.1.3).
+"""Two cameras from board pairs: x_r = R_rc @ x_c + t_rc (thesis 3.8-3.9, 5.1.3).
 
-Each camera alone, then one bundle adjustment of both. Epipolar geometry of the pair:
+Each alone, then one bundle adjustment. Epipolar geometry:
 
     E = [t_rc]x R_rc,   F = K_r^-T E K_l^-1,   (u_r, 1) F (u_l, 1)^T = 0          (thesis eq. 3.96-3.127)
 """
@@ -35,9 +35,9 @@ class Pair(NamedTuple):
 
 @dataclass(frozen=True)
 class Stereo:
-    """A calibrated rig; distances [px] of corners from the partner's epipolar line: raw, and rectified rows.
+    """A rig; corner distances [px] from epipolar lines, raw, and rectified rows.
 
-    held_out: rectified, of pairs left out; square_m: mean triangulated side of the board's squares.
+    held_out: rectified, pairs left out; square_m: mean triangulated square.
     """
 
     rig: StereoRig
@@ -81,7 +81,7 @@ def calibrate(
 
 
 def epipolar_distances(F: Array, left: Array, right: Array) -> Array:
-    """Distance (N,) [px] of right points from the lines F (u_l, 1), straight although the lens bends them."""
+    """Distances (N,) [px] of right points from lines F (u_l, 1)."""
     lines = np.column_stack((left, np.ones(len(left)))) @ F.T
     return np.asarray(
         np.sum(lines * np.column_stack((right, np.ones(len(right)))), axis=1) / np.linalg.norm(lines[:, :2], axis=1)
@@ -89,7 +89,7 @@ def epipolar_distances(F: Array, left: Array, right: Array) -> Array:
 
 
 def row_errors(rig: StereoRig, pairs: Sequence[Pair]) -> list[Array]:
-    """Row in the rectified left image minus row in the right one, of each pair's corners [px]."""
+    """Rectified row left minus right, per pair [px]."""
     flat = rectification(rig).rig
     R_left = flat.R_bc.T @ rig.R_bc
     errors = []
@@ -101,7 +101,7 @@ def row_errors(rig: StereoRig, pairs: Sequence[Pair]) -> list[Array]:
 
 
 def square_sides(rig: StereoRig, pairs: Sequence[Pair], board: Board) -> Array:
-    """Sides of the board's squares from triangulated corners [m]: what the rig makes of a known length."""
+    """Board squares' sides from triangulated corners [m]."""
     sides = []
     for pair in pairs:
         x_c = triangulate(rig, pair.left.px, pair.right.px)
@@ -115,7 +115,7 @@ def square_sides(rig: StereoRig, pairs: Sequence[Pair], board: Board) -> Array:
 
 
 def triangulate(rig: StereoRig, left: Array, right: Array) -> Array:
-    """Points (N, 3) in c midway between the two rays where they are nearest [m]."""
+    """Points (N, 3) in c midway between the rays [m]."""
     a, b = rig.left.ray(left), rig.right.ray(right) @ rig.R_rc
     origin = -rig.R_rc.T @ rig.t_rc
     ab = np.sum(a * b, axis=1)
@@ -126,7 +126,7 @@ def triangulate(rig: StereoRig, left: Array, right: Array) -> Array:
 
 
 def shared(pair: Pair, board: Board) -> Pair | None:
-    """The corners that both images show, in one order; None where there are too few."""
+    """Corners in both images, in order; None for too few."""
     left, right = pair
     ids, a, b = np.intersect1d(left.ids, right.ids, return_indices=True)
     if len(ids) < 6:
@@ -141,7 +141,7 @@ def shared(pair: Pair, board: Board) -> Pair | None:
 
 
 def _start(pairs: Sequence[Pair], board: Board, lens: Lens) -> Problem:
-    """Both cameras alone; between them the rotation of the pair nearest to the others, the median translation."""
+    """Both cameras alone; rotation of the median pair, median translation."""
     left, right = (adjust(mono.start([p[side] for p in pairs], board, lens)).problem for side in (0, 1))
     R = np.array([b.R @ a.R.T for a, b in zip(left.poses, right.poses, strict=True)])
     t = np.array([b.t - R_rc @ a.t for a, b, R_rc in zip(left.poses, right.poses, R, strict=True)])
@@ -163,7 +163,7 @@ def _rig(solution: Solution) -> StereoRig:
 
 
 def _check_sides(rig: StereoRig) -> None:
-    """The right camera stands to the right of the left one, within 45 degrees of its image's rows."""
+    """The right camera is to the right, within 45 degrees of the rows."""
     x, y, z = -rig.R_rc.T @ rig.t_rc
     if x * x < y * y + z * z:
         raise CalibrationError(
@@ -177,7 +177,6 @@ def _check_sides(rig: StereoRig) -> None:
 
 
 def _held_out(solution: Solution, pairs: Sequence[Pair]) -> HeldOut:
-    """Row errors of pairs left out of the calibration, over folds."""
     folds = min(_FOLDS, len(pairs))
     if len(pairs) - len(pairs) // folds < FEWEST - 1:
         return HeldOut(float("nan"), 0.0)

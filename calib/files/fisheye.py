@@ -1,8 +1,7 @@
-"""Fisheye lenses: the equidistant model is replaced by the rational one that equals it in the image (below 90 degrees off the
-axis).
+"""Fisheye: the equidistant model as the equal rational one, below 90 degrees off the axis.
 
-    r_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8),  theta = atan r    (Kannala & Brandt 2006)
-    ~ r (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6)
+r_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8),  theta = atan r    (Kannala & Brandt 2006)
+~ r (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6)
 """
 
 import numpy as np
@@ -17,7 +16,7 @@ _WORST_PX = 0.2  # by which the rational model may differ
 
 
 def rational(fx: float, fy: float, cx: float, cy: float, k: Array, size: tuple[int, int]) -> CameraModel:
-    """The rational camera that equals an equidistant one in an image of this size. Raises CalibrationError."""
+    """The rational camera equal to an equidistant one in this image size. Raises CalibrationError."""
     corners = np.array([[0.0, 0.0], [size[0], 0.0], [0.0, size[1]], [size[0], size[1]]]) - 0.5
     r_corner = float(np.linalg.norm((corners - (cx, cy)) / (fx, fy), axis=1).max())
     theta = np.linspace(0.0, _WIDEST, 2000)[1:]

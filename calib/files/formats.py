@@ -1,4 +1,4 @@
-"""Rig and camera files: ours (rig.yaml), OpenCV XML/YAML, ROS camera_info, Kalibr camchain; the content decides the format.
+"""Rig and camera files: ours, OpenCV XML/YAML, ROS camera_info, Kalibr camchain, by content.
 
 load_rig(path) -> StereoRig,  load_camera(path) -> CameraModel; both raise CalibrationError.
 """
@@ -34,7 +34,7 @@ _MOST_BYTES = 1_000_000
 
 
 class BodyPose(NamedTuple):
-    """Pose of the (left) camera on the body, x_b = R_bc @ x_c + p_bc, and its covariance (6, 6) as in StereoRig."""
+    """Camera on the body, x_b = R_bc @ x_c + p_bc, and its covariance (6, 6)."""
 
     R_bc: Array
     p_bc: Array
@@ -51,10 +51,9 @@ class Format(StrEnum):
 
 
 def load_rig(path: str | Path) -> StereoRig:
-    """A stereo rig from any of the formats; of ROS camera_info either of NAME_left.yaml, NAME_right.yaml. Raises
-    CalibrationError.
+    """A stereo rig of any format; ROS: either of NAME_left.yaml, NAME_right.yaml. Raises CalibrationError.
 
-    Without a pose on the body it is a forward-looking camera at the IMU with covariance "not given" (rig_yaml.UNKNOWN_POSE).
+    Without a body pose it looks forward at the IMU, covariance rig_yaml.UNKNOWN_POSE.
     """
     rig = load_cameras(path)
     if rig.one_camera:
@@ -63,9 +62,7 @@ def load_rig(path: str | Path) -> StereoRig:
 
 
 def load_cameras(path: str | Path, mount: BodyPose | None = None) -> StereoRig:
-    """A stereo rig, or one camera with its pose on the body (body_from_camera); mount replaces the file's. Raises
-    CalibrationError.
-    """
+    """A rig, or one camera on the body (body_from_camera); mount replaces it. Raises CalibrationError."""
     path = Path(path)
     text = _read(path)
     try:
@@ -98,7 +95,7 @@ def load_camera(path: str | Path, side: str = "left") -> CameraModel:
 
 
 def save_rig(path: str | Path, rig: StereoRig, form: Format | None = None) -> list[Path]:
-    """Write a rig; without a form its name decides (.xml, .yml: OpenCV, else ours). Returns the files written."""
+    """Write a rig; form by default from the name (.xml, .yml: OpenCV). Returns the files."""
     path = Path(path)
     try:
         texts = _rig_texts(path, rig, form or _form_of(path))
@@ -126,7 +123,7 @@ def save_camera(path: str | Path, camera: CameraModel, form: Format | None = Non
 
 
 def save_mounted(path: str | Path, rig: StereoRig) -> list[Path]:
-    """Write the one camera of a rig with its pose on the body, in our form."""
+    """Write a rig's one camera with its body pose, in our form."""
     path = Path(path)
     if _form_of(path) is not Format.LANDFIX:
         raise CalibrationError(f"{path}: a camera with --mount is written as .yaml only")
@@ -135,7 +132,7 @@ def save_mounted(path: str | Path, rig: StereoRig) -> list[Path]:
 
 
 def _on_body(path: Path, text: str, mount: BodyPose | None) -> StereoRig:
-    """The rig or the one camera of a file, where the file or mount says that it sits."""
+    """Rig or one camera of a file, mounted by file or `mount`."""
     camera, rig = _one_camera(path, text)
     if camera is None:
         rig = _rig(path, text)
@@ -151,7 +148,7 @@ def _on_body(path: Path, text: str, mount: BodyPose | None) -> StereoRig:
 
 
 def _one_camera(path: Path, text: str) -> tuple[CameraModel | None, StereoRig | None]:
-    """The camera of a file that holds one only, and, where the file says it, that camera on the body."""
+    """The camera of a one-camera file, and it on the body where given."""
     where = str(path)
     if _is_opencv(text):
         return (opencv.read_camera(text, where) if opencv.holds_one_camera(text, where) else None), None

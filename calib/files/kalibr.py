@@ -1,4 +1,4 @@
-"""Kalibr camchain: cam0 is the left, cam1 the right camera.
+"""Kalibr camchain: cam0 left, cam1 right.
 
 cam1.T_cn_cnm1 = T_rc,  cam0.T_cam_imu = T_cb (x_c = T_cb x_b; OpenVINS: T_imu_cam = T_bc),  t_imu = t_cam + timeshift_cam_imu
 """
@@ -85,7 +85,7 @@ def _text(name: str, R: Array, t: Array) -> str:
 
 
 def _on_body(chain: dict[str, Any], where: str) -> Array | None:
-    """T_bc (4, 4), which OpenVINS writes as it is and Kalibr inverted; None where there is neither."""
+    """T_bc (4, 4), as OpenVINS writes or Kalibr inverted; None without."""
     if "T_imu_cam" in chain:
         return _pose(chain, "T_imu_cam", where)
     if "T_cam_imu" not in chain:

@@ -1,8 +1,8 @@
-"""OpenCV FileStorage, XML or YAML, with OpenCV's own names, and our covariances next to them.
+"""OpenCV FileStorage, XML or YAML, OpenCV's names plus our covariances.
 
-One camera: image_width, image_height, camera_matrix, distortion_coefficients, [covariance].
-A rig: image_width, image_height, M1, D1, M2, D2, R, T (x_r = R @ x_c + T, metres), [covariance_M1, covariance_M2,
-covariance_RT, R_body, T_body, covariance_body, time_offset_s].
+Camera: image_width, image_height, camera_matrix, distortion_coefficients, [covariance]. Rig: image_width, image_height, M1, D1,
+M2, D2, R, T (x_r = R @ x_c + T, metres), [covariance_M1, covariance_M2, covariance_RT, R_body, T_body, covariance_body,
+time_offset_s].
 """
 
 import re
@@ -42,7 +42,7 @@ def holds_one_camera(text: str, where: str) -> bool:
 
 
 def read_rig(text: str, where: str) -> StereoRig:
-    """The rig in a FileStorage text. Raises CalibrationError, or ValueError from the rig's own checks."""
+    """The rig of a FileStorage text. Raises CalibrationError, ValueError."""
     storage = _open(text, where)
     missing = [name for name in ("M1", "D1", "M2", "D2", "R", "T") if storage.getNode(name).empty()]
     if missing:
@@ -68,7 +68,7 @@ def camera_text(camera: CameraModel, xml: bool) -> str:
 
 
 def rig_text(rig: StereoRig, xml: bool) -> str:
-    """A rig as a FileStorage text, with R1 R2 P1 P2 Q F E beside R and T."""
+    """A rig as FileStorage text, with R1 R2 P1 P2 Q F E."""
     storage = _new(rig.left, xml)
     _put_camera(storage, rig.left, "M1", "D1", "covariance_M1")
     _put_camera(storage, rig.right, "M2", "D2", "covariance_M2")
@@ -93,7 +93,7 @@ def distortion_of(camera: CameraModel) -> Array:
 
 
 def rectified(rig: StereoRig) -> tuple[Array, Array, Array, Array]:
-    """R1, R2 (3, 3), P1, P2 (3, 4) in OpenCV's sense: x' = R1 x_c, u = P1 (x', 1) = P2 (x', 1)."""
+    """R1, R2 (3, 3), P1, P2 (3, 4): x' = R1 x_c, u = P1 (x', 1) = P2 (x', 1)."""
     flat = rectification(rig).rig
     R1 = flat.R_bc.T @ rig.R_bc
     P1 = np.column_stack((flat.left.matrix, np.zeros(3)))
@@ -102,7 +102,7 @@ def rectified(rig: StereoRig) -> tuple[Array, Array, Array, Array]:
 
 
 def _derived(rig: StereoRig) -> dict[str, Array]:
-    """What follows from the rig: rectification R1 R2 P1 P2 Q, essential E = [t]x R and fundamental matrix F."""
+    """Rectification R1 R2 P1 P2 Q, essential E = [t]x R, fundamental matrix F."""
     R1, R2, P1, P2 = rectified(rig)
     f, cx, cy = P1[0, 0], P1[0, 2], P1[1, 2]
     Q = np.array([[1.0, 0.0, 0.0, -cx], [0.0, 1.0, 0.0, -cy], [0.0, 0.0, 0.0, f], [0.0, 0.0, 1.0 / rig.baseline_m, 0.0]])
@@ -128,7 +128,7 @@ def _put_camera(storage: cv2.FileStorage, camera: CameraModel, matrix: str, dist
 
 
 def _deepest(text: str) -> int:
-    """An upper bound of the nesting of XML, YAML or JSON. Raises ExpatError for what is no XML."""
+    """Upper bound of the nesting of XML, YAML or JSON. Raises ExpatError."""
     depth = deepest = 0
 
     def begin(*_: object) -> None:

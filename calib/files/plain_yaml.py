@@ -1,4 +1,4 @@
-"""YAML as people write it: text -> plain values, and numbers so that every YAML reader takes them for numbers."""
+"""YAML text to plain values, and numbers that all YAML readers parse."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -26,7 +26,7 @@ def parse(text: str, where: str) -> dict[str, Any]:
 
 
 def number(x: float) -> str:
-    """The shortest text that reads back to the same float64; with a point, which YAML 1.1 readers need before an exponent."""
+    """Shortest float64 text, with a point before an exponent (YAML 1.1)."""
     text = repr(float(x))
     return text.replace("e", ".0e") if "e" in text and "." not in text else text
 

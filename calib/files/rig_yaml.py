@@ -1,4 +1,4 @@
-"""Our own rig and camera files: YAML for people, every number with its unit, every covariance whole.
+"""Our rig and camera files: YAML, units in names, whole covariances.
 
 x_r = R_rc @ x_c + t_rc  (right_from_left),   x_b = R_bc @ x_c + p_bc  (body_from_left)
 """
@@ -68,7 +68,7 @@ _File = TypeVar("_File", _RigFile, _CameraFile)
 
 
 def read_rig(value: dict[str, Any], where: str) -> StereoRig:
-    """The rig in a parsed file. Raises CalibrationError, or ValueError from the rig's own checks."""
+    """The rig of a parsed file. Raises CalibrationError, ValueError."""
     _check_version(value, where)
     file = _convert(value, _RigFile, where)
     rc, bc = file.right_from_left, file.body_from_left
@@ -84,13 +84,13 @@ def read_rig(value: dict[str, Any], where: str) -> StereoRig:
 
 
 def read_camera(value: dict[str, Any], where: str) -> CameraModel:
-    """The camera in a parsed file. Raises CalibrationError, or ValueError from the camera's own checks."""
+    """The camera of a parsed file. Raises CalibrationError, ValueError."""
     _check_version(value, where)
     return _convert(value, _CameraFile, where).camera.model()
 
 
 def read_mount(value: dict[str, Any], where: str) -> StereoRig | None:
-    """The camera of a parsed camera file on its body; None where the file does not say where it sits."""
+    """The camera of a parsed file on its body; None without a mount."""
     _check_version(value, where)
     file = _convert(value, _CameraFile, where)
     bc = file.body_from_camera
@@ -101,7 +101,7 @@ def read_mount(value: dict[str, Any], where: str) -> StereoRig | None:
 
 
 def rig_text(rig: StereoRig) -> str:
-    """The rig as a file; a pose on the body that is not known is left out."""
+    """The rig as a file, without an unknown body pose."""
     text = (
         "# A stereo rig. Pixels, metres, radians; c = left, r = right camera (right, down, forward), b = body (FRD at the IMU).\n"
         f"format: {RIG_FORMAT}\nversion: {VERSION}\n"
@@ -166,7 +166,6 @@ def _matrix(given: Matrix | None) -> Array | None:
 
 
 def _covariance(given: Matrix | None, where: str, name: str) -> Array | None:
-    """A covariance must be symmetric and positive semidefinite; its shape the rig checks."""
     covariance = _matrix(given)
     if covariance is not None and covariance.shape == (6, 6):
         scale = np.sqrt(np.clip(np.diagonal(covariance), 1e-30, None))

@@ -1,6 +1,6 @@
-"""ROS camera_info YAML (camera_calibration): one file a camera; a rig is the pair NAME_left.yaml, NAME_right.yaml.
+"""ROS camera_info YAML; a rig is NAME_left.yaml and NAME_right.yaml.
 
-The pair's poses stand in its rectification:  x_rect = R1 x_c = R2 x_r - (Tx, 0, 0),  Tx = P2[0, 3] / P2[0, 0], so
+In the pair's rectification:  x_rect = R1 x_c = R2 x_r - (Tx, 0, 0),  Tx = P2[0, 3] / P2[0, 0], so
 R_rc = R2^T R1,  t_rc = R2^T (Tx, 0, 0).
 """
 
@@ -20,7 +20,7 @@ _MODELS = {"plumb_bob": (4, 5), "rational_polynomial": (8,)}
 
 
 def pair_of(path: Path) -> tuple[Path, Path]:
-    """The two files of a rig from either of them, or from the name without a side (rig.yaml -> rig_left.yaml, rig_right.yaml)."""
+    """Both files of a rig from either, or from the name without side."""
     stem = path.stem.removesuffix("_left").removesuffix("_right")
     if path.stem in {"left", "right"}:
         return path.with_stem("left"), path.with_stem("right")
@@ -51,7 +51,7 @@ def rig(left: dict[str, Any], right: dict[str, Any], where: str) -> StereoRig:
 
 
 def camera_text(model: CameraModel, name: str, R: Array | None = None, P: Array | None = None) -> str:
-    """A camera_info; R and P of its rectification, without a pair the identity and K."""
+    """A camera_info; R, P: rectification, else identity and K."""
     n = len(model.distortion)
     distortion = distortion_of(model)
     P = np.column_stack((model.matrix, np.zeros(3))) if P is None else P

@@ -1,11 +1,10 @@
-"""Noise of an IMU at rest: Allan deviation -> noise density, bias instability, random walk.
+"""Noise of an IMU at rest by Allan deviation.
 
     sigma^2(tau) = 1 / (2 (K - 2m)) sum_k ((theta_{k+2m} - 2 theta_{k+m} + theta_k) / tau)^2      (overlapping, tau = m h)
     sigma^2(tau) = N^2 / tau + (2 ln 2 / pi) B^2 + K^2 tau / 3              (IEEE Std 952-1997, annex C)
 
-theta: the integrated signal; N: noise density [unit / sqrt(Hz)], B: bias instability, K: random walk [unit / s / sqrt(Hz)], as
-[imu] gyro_noise, accel_noise, gyro_walk, accel_walk. The curve is fitted from the shortest time on from which it has this form.
-Where it never has, N is sigma(tau) sqrt(tau) at the longest time, without B and K.
+theta: integrated signal; N: noise density [unit / sqrt(Hz)], B: bias instability, K: random walk [unit / s / sqrt(Hz)]. Fitted
+from the shortest time of this form; without one N = sigma(tau) sqrt(tau) at the longest.
 """
 
 from dataclasses import dataclass
@@ -27,9 +26,7 @@ _INSTABILITY = 2.0 * np.log(2.0) / np.pi
 
 @dataclass(frozen=True)
 class Noise:
-    """One axis: N, B, K with standard deviations; tau_s and adev: the curve; white_from_s: shortest fitted time, nan: N of the
-    longest.
-    """
+    """One axis: N, B, K with sigmas; tau_s, adev: curve; white_from_s: shortest fitted time, nan: N of the longest."""
 
     density: float
     instability: float
@@ -54,7 +51,7 @@ class Noise:
 
 
 def allan_deviation(x: Array, rate_hz: float) -> tuple[Array, Array]:
-    """tau [s] and overlapping Allan deviation of evenly sampled x (K,), from one sample to a ninth of the record."""
+    """tau [s] and overlapping Allan deviation of x (K,), up to a ninth of the record."""
     theta = np.concatenate(([0.0], np.cumsum(x - np.mean(x)))) / rate_hz
     longest = (len(x) - 1) // _FEWEST_CLUSTERS
     m = 2 ** np.arange(int(np.log2(max(longest, 1))) + 1)  # octaves: points nearer to each other tell the same
@@ -66,7 +63,7 @@ def allan_deviation(x: Array, rate_hz: float) -> tuple[Array, Array]:
 
 
 def noise(x: Array, rate_hz: float) -> Noise:
-    """The noise of one axis at rest, x (K,) evenly sampled. Raises CalibrationError where the record is too short."""
+    """Noise of one axis at rest, x (K,) evenly sampled. Raises CalibrationError for a short record."""
     if len(x) < _FEWEST:
         raise CalibrationError(f"{len(x)} samples at rest are too few, {_FEWEST} are the least: log faster, or let it lie longer")
     if np.ptp(x) == 0.0:
@@ -92,7 +89,7 @@ def noise(x: Array, rate_hz: float) -> Noise:
 
 
 def _fit(tau: Array, adev: Array, relative: Array) -> tuple[Array, Array, float]:
-    """N^2, B^2, K^2 (none negative), their covariance, and the worst point's distance from the curve [sigma]."""
+    """N^2, B^2, K^2 (>= 0), covariance, largest distance from the curve [sigma]."""
     A = np.column_stack((1.0 / tau, np.full(len(tau), _INSTABILITY), tau / 3.0))
     weight = 1.0 / (2.0 * relative * adev**2)
     squares, _ = nnls(A * weight[:, None], adev**2 * weight)

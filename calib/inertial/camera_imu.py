@@ -1,9 +1,9 @@
-"""Camera on an IMU: rotation, translation and time offset from a moving recording of a fixed board.
+"""Camera on an IMU: rotation, translation, time offset from a moving recording of a fixed board.
 
     min sum_k e_k^T e_k over (p_bc, R_bc, time offset, tilt of the board, gravity)    (Hol 2010)
 
-e: normalised innovations of a filter (grey_box.py). Covariance: (J^T J)^-1, J = de/dtheta, times the innovations' mean square
-where that is above 1, plus the effect of the camera's own covariance.
+e: normalised innovations (grey_box.py). Covariance: (J^T J)^-1, J = de/dtheta, times mean square e where above 1, plus the
+camera's own.
 """
 
 from collections.abc import Callable, Sequence
@@ -41,8 +41,8 @@ _OUTLIER: Final = 35.0  # e^T e of one image, 6 degrees of freedom: 4e-6 by chan
 
 @dataclass(frozen=True)
 class CameraImu:
-    """Extrinsics x_b = R_bc @ x_c + p_bc and time_offset_s (shutter time minus stamp); covariance (7, 7), order x y z rx ry rz
-    about the axes of b, then the offset. innovations (M, 6), normalised; used: which images.
+    """x_b = R_bc @ x_c + p_bc, time_offset_s (shutter minus stamp); covariance (7, 7), x y z rx ry rz about b, offset.
+    innovations (M, 6), normalised; used: images.
     """
 
     R_bc: Array
@@ -75,7 +75,7 @@ def calibrate(
     imu: Recording, stamps_ns: Times, views: Sequence[View], board: Board, camera: CameraModel, noise: ImuNoise,
     progress: Callable[[float], None] | None = None,
 ) -> CameraImu:  # fmt: skip
-    """Extrinsics from views of a board at rest, stamped in the IMU's time. Raises CalibrationError with what to do."""
+    """Extrinsics from views of a fixed board, stamped in IMU time. Raises CalibrationError."""
     report = progress or (lambda _: None)
     check(imu.t_ns, imu.gyro, imu.accel)
     inside = (stamps_ns > imu.t_ns[0] + 6e8) & (stamps_ns < imu.t_ns[-1] - 6e8)
@@ -140,7 +140,6 @@ class _Problem:
         return np.append(e.ravel(), theta[_GRAVITY] / _GRAVITY_SIGMA)
 
     def _first_state(self, poses: BoardPoses, R_no: Array, R_bc: Array, p_bc: Array) -> tuple[Array, Array]:
-        """State at the first image, as it measures it; velocity from the first few."""
         few = min(6, len(self.stamps_ns))
         R_nb = [R_no @ poses.R_co[k].T @ R_bc.T for k in range(few)]
         p_n = np.array([-R_no @ poses.R_co[k].T @ poses.t_co[k] - R_nb[k] @ p_bc for k in range(few)])
@@ -160,7 +159,7 @@ class _Problem:
         return state.pack(), P
 
     def _level(self) -> Array:
-        """R_no that turns the mean specific force, seen from the board, upwards (n's z is down)."""
+        """R_no that turns the mean specific force in the board's frame upwards."""
         at = self.stamps_ns + np.int64(round(1e9 * self.offset0))
         f = np.column_stack([np.interp(at, self.imu.t_ns, a) for a in self.imu.accel.T])
         up = np.mean([R.T @ self.R_bc0.T @ a for R, a in zip(self.poses.R_co, f, strict=True)], axis=0)
@@ -171,7 +170,7 @@ class _Problem:
 
 
 def first_rotation(imu: Recording, stamps_ns: Times, poses: BoardPoses) -> tuple[Array, float]:
-    """R_bc and time offset from rates alone: gyro = R_bc @ camera rate + bias. Raises CalibrationError."""
+    """R_bc and offset from gyro = R_bc @ camera rate + bias. Raises CalibrationError."""
     dt = 1e-9 * np.diff(stamps_ns)
     near = dt < 3.0 * np.median(dt)
     turns = [rotation_vector(a @ b.T) for a, b in zip(poses.R_co[:-1], poses.R_co[1:], strict=True)]
@@ -200,7 +199,7 @@ def first_rotation(imu: Recording, stamps_ns: Times, poses: BoardPoses) -> tuple
 
 
 def _check_turned(rate_b: Array) -> None:
-    """Refuse a camera whose rates (N, 3) determine no rotation, or only a part of it."""
+    """Refuse camera rates (N, 3) that do not determine a rotation."""
     spread = np.sqrt(np.sort(np.linalg.eigvalsh(np.cov(rate_b.T)))[::-1])
     if spread[0] < _STILL_RAD_S:
         raise CalibrationError("the camera hardly turned: turn it about all three axes, briskly, for a minute, board in view")
@@ -209,7 +208,7 @@ def _check_turned(rate_b: Array) -> None:
 
 
 def _turn_between(a: Array, b: Array) -> tuple[float, Array]:
-    """Median square of a - R b and R, for vectors (N, 3) with biases of their own (Kabsch 1976)."""
+    """Median square of a - R b, and R, biases removed (Kabsch 1976)."""
     a, b = a - np.median(a, axis=0), b - np.median(b, axis=0)
     U, _, Vt = np.linalg.svd(a.T @ b)
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
@@ -217,7 +216,6 @@ def _turn_between(a: Array, b: Array) -> tuple[float, Array]:
 
 
 def _minimise(problem: _Problem, progress: Callable[[float], None], start: Array | None = None) -> tuple[Array, Array, Array]:
-    """Gauss-Newton with step halving; theta, J and residuals at the minimum."""
     theta = np.zeros(_SIZE) if start is None else start
     e = problem.residuals(theta)
     if not np.isfinite(e).all():
@@ -242,7 +240,6 @@ def _minimise(problem: _Problem, progress: Callable[[float], None], start: Array
 
 
 def _jacobian(problem: _Problem, theta: Array) -> Array:
-    """de/dtheta by central differences."""
     columns = []
     for k, h in enumerate(_STEP):
         d = np.zeros(_SIZE)
@@ -252,7 +249,7 @@ def _jacobian(problem: _Problem, theta: Array) -> Array:
 
 
 def _covariance(problem: _Problem, theta: Array, J: Array, e: Array) -> tuple[Array, float]:
-    """Of theta, and the innovations' mean square (1 where the noise is what it was said to be)."""
+    """Covariance of theta, and mean square innovation (>= 1)."""
     scale = np.linalg.norm(J, axis=0)
     inverse = np.linalg.pinv((J / scale).T @ (J / scale), hermitian=True) / np.outer(scale, scale)
     mean_square = float(e @ e) / (len(e) - _SIZE)

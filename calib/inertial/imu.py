@@ -1,4 +1,4 @@
-"""An IMU from a recording: its rest, its noise there, and scale and bias of the accelerometer from six positions.
+"""An IMU from a recording: rest, noise, accelerometer scale and bias from six positions.
 
 |S^-1 (f_k - b)| = g,   S = diag(s),   for the mean specific force f_k of each position k   (Skog & Haendel 2006)
 """
@@ -37,7 +37,7 @@ class Static:
     accel_mean: Array
 
     def config(self) -> dict[str, float]:
-        """What [imu] of the configuration takes: the worst axis of each; a walk that was not seen is left out."""
+        """Values of [imu]: the worst axis; unseen walks are left out."""
         noises = (("gyro", self.gyro), ("accel", self.accel))
         density = {f"{name}_noise": max(n.density for n in axes) for name, axes in noises}
         seen = {f"{name}_walk": [n.walk for n in axes if n.walk_seen] for name, axes in noises}
@@ -56,7 +56,7 @@ class Static:
 
 @dataclass(frozen=True)
 class SixPosition:
-    """Accelerometer: f_true = (f - bias) / scale; covariance (6, 6) of (bias, scale); residual of |f_true| - g [m/s^2]."""
+    """f_true = (f - bias) / scale; covariance (6, 6) of (bias, scale); residual of |f_true| - g [m/s^2]."""
 
     bias: Array
     scale: Array
@@ -66,7 +66,7 @@ class SixPosition:
 
 
 def rests(t_ns: NDArray[np.int64], gyro: Array, accel: Array) -> list[slice]:
-    """Stretches of samples in which the IMU rested; gyro [rad/s], accel [m/s^2] (N, 3). Longer than two seconds, in order."""
+    """Stretches of rest longer than 2 s; gyro [rad/s], accel [m/s^2] (N, 3)."""
     rate = _rate(t_ns)
     n = max(int(_WINDOW_S * rate), 3)
     windows = len(t_ns) // n
@@ -110,14 +110,14 @@ def static_noise(t_ns: NDArray[np.int64], gyro: Array, accel: Array) -> Static:
 
 
 def _evenly(t_ns: NDArray[np.int64], rate: float) -> NDArray[np.int64]:
-    """Index of the sample nearest to each tick of an even clock (interpolation would smooth the noise)."""
+    """Sample nearest to each even tick: interpolation would smooth noise."""
     since = 1e-9 * (t_ns - t_ns[0])  # small numbers: a float of the epoch's nanoseconds is good to 256 of them
     ticks = np.arange(int(since[-1] * rate) + 1) / rate
     return np.searchsorted(0.5 * (since[1:] + since[:-1]), ticks)
 
 
 def six_position(t_ns: NDArray[np.int64], gyro: Array, accel: Array, gravity: float = GRAVITY) -> SixPosition:
-    """Scale and bias from rests in at least six positions. Raises CalibrationError with what is missing."""
+    """Scale and bias from six rests or more. Raises CalibrationError."""
     check(t_ns, gyro, accel)
     means: list[Array] = []
     sigmas = []
@@ -140,7 +140,7 @@ def six_position(t_ns: NDArray[np.int64], gyro: Array, accel: Array, gravity: fl
 
 
 def check(t_ns: NDArray[np.int64], gyro: Array, accel: Array) -> None:
-    """Refuse what is no IMU recording: too short, in wrong units, not finite. Raises CalibrationError."""
+    """Refuse short, non-finite, or wrong-unit recordings. Raises CalibrationError."""
     if len(t_ns) < 100:
         raise CalibrationError(f"{len(t_ns)} IMU samples are no recording")
     if np.any(np.diff(t_ns) <= 0):
@@ -153,7 +153,6 @@ def check(t_ns: NDArray[np.int64], gyro: Array, accel: Array) -> None:
 
 
 def _solve(f: Array, sigma: float, gravity: float) -> SixPosition:
-    """Gauss-Newton on |(f - b) / s| - g."""
     b, s = np.zeros(3), np.ones(3)
     for _ in range(20):
         x = (f - b) / s

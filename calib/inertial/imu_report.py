@@ -71,7 +71,6 @@ def static_tables(result: Static) -> list[Table]:
 
 
 def _or_less(value: float, sigma: float) -> str:
-    """The value where it was seen, else what it is below."""
     if not np.isfinite(sigma):
         return "not seen"
     return f"{value:.2g} +- {_percent(sigma / value)}" if value > 2.0 * sigma else f"< {value + 2.0 * sigma:.2g}"

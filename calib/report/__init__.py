@@ -1,4 +1,4 @@
-"""What a calibration is worth: verdicts, images of residuals and coverage, the page.
+"""Quality of a calibration: verdicts, plots, page.
 
 May import calib.cameras and what is below it.
 """

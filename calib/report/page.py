@@ -1,4 +1,4 @@
-"""The report of a calibration: one HTML page that stands alone, verdict first, and its image as PNG next to it."""
+"""Calibration report: one HTML page, verdict first, and its plot as PNG."""
 
 import io
 from collections.abc import Sequence
@@ -103,7 +103,6 @@ def stereo_tables(result: Stereo) -> list[Table]:
 
 
 def _left_out(held_out: HeldOut) -> str:
-    """Residual of views left out, and of how many there is none."""
     rms = "not known" if np.isnan(held_out.rms) else f"{held_out.rms:.3f} px"
     return rms + (f"; {100.0 * held_out.beyond:.0f} % lie beyond the lens model of the others" if held_out.beyond > 0.0 else "")
 

@@ -1,4 +1,4 @@
-"""Pictures of a calibration: where the corners were, what is left of each, view by view. Figures that stand alone, no pyplot."""
+"""Plots of a calibration: corners, residuals by view; no pyplot."""
 
 from collections.abc import Sequence
 
@@ -30,7 +30,7 @@ def mono_figure(result: Mono) -> Figure:
 
 
 def stereo_figure(result: Stereo) -> Figure:
-    """Coverage and residual vectors of both cameras, residuals of each pair, row errors after rectification."""
+    """Coverage, residual vectors, pair residuals, rectified row errors."""
     figure = Figure(figsize=(12.0, 12.6), layout="constrained")
     axes = figure.subplots(3, 2)
     rms = []
@@ -53,7 +53,7 @@ def stereo_figure(result: Stereo) -> Figure:
 
 
 def draw_coverage(axes: Axes, views: Sequence[View], title: str) -> None:
-    """Corners of all views over the cells of the image; cells that no corner fell into are shaded."""
+    """Corners over image cells; empty cells shaded."""
     width, height = views[0].width, views[0].height
     counts = coverage(views)
     rows, columns = counts.shape
@@ -67,7 +67,7 @@ def draw_coverage(axes: Axes, views: Sequence[View], title: str) -> None:
 
 
 def draw_vectors(axes: Axes, views: Sequence[View], residuals: Sequence[Array], title: str) -> None:
-    """Measured minus predicted at each corner, magnified; blue where it is usual, orange beyond the 95th percentile."""
+    """Magnified residual vectors; orange beyond the 95th percentile."""
     px, r = np.concatenate([v.px for v in views]), np.concatenate(residuals)
     length = np.linalg.norm(r, axis=1)
     usual = max(float(np.percentile(length, 95)), 1e-9)
@@ -97,7 +97,7 @@ def draw_views(axes: Axes, names: Sequence[Sequence[str]], rms: Sequence[Sequenc
 
 
 def draw_scatter(axes: Axes, r: Array) -> None:
-    """All residuals about zero: a round cloud is noise, anything else is a model that does not fit."""
+    """All residuals about zero; a shape other than round is model error."""
     limit = 1.1 * float(np.abs(r).max())
     axes.plot(*r.T, ".", color=BLUE, markersize=2.5)
     axes.axhline(0.0, color=GREY, linewidth=0.6)

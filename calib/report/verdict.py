@@ -1,4 +1,4 @@
-"""Is a calibration good enough, and if not, what to do: a few figures, each with its limits and its advice."""
+"""Verdict on a calibration: figures with limits and advice."""
 
 from collections.abc import Sequence
 from enum import IntEnum
@@ -29,7 +29,7 @@ class Grade(IntEnum):
 
 
 class Figure(msgspec.Struct, frozen=True):
-    """One figure of a calibration: good up to `good`, usable up to `usable`; advice: what makes it better."""
+    """A figure: good up to `good`, usable up to `usable`; advice: remedy."""
 
     name: str
     value: float
@@ -127,7 +127,6 @@ def _flat(solution: Solution) -> Figure:
 
 
 def _better(solution: Solution) -> str:
-    """What makes sigmas smaller."""
     return _FLAT if solution.bow > 0.0 else _TILT
 
 
@@ -147,7 +146,7 @@ def _covered(counts: NDArray[np.int64], good: float, usable: float) -> Figure:
 
 
 def uncovered(camera: CameraModel) -> float:
-    """Percent of the image's pixels that no direction is drawn to: beyond where the lens model folds."""
+    """Percent of pixels beyond the lens model's fold."""
     u, v = np.meshgrid(np.linspace(0.0, camera.width - 1.0, 40), np.linspace(0.0, camera.height - 1.0, 30))
     plane = camera.undistort(np.column_stack((u.ravel(), v.ravel())))
     return 100.0 * float(np.mean(np.isnan(plane[:, 0])))

@@ -1,4 +1,4 @@
-"""A board filmed by a camera on a moving IMU, with known truth: what the camera-IMU calibration must give back."""
+"""A board filmed by a camera on a moving IMU, truth known."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -22,7 +22,7 @@ _EPSILON = 1e-4  # s, for derivatives of the path
 
 @dataclass(frozen=True)
 class Truth:
-    """Camera on the body, and how the recording is made; the camera looks at the board from `distance_m`."""
+    """True camera on the body and recording; distance_m: to the board."""
 
     R_bc: Array
     p_bc: Array
@@ -37,7 +37,7 @@ class Truth:
 
 
 class Motion:
-    """The body's path: sums of three sines each way, so that the camera stays before the board."""
+    """The body's path: three sines a direction, board in view."""
 
     def __init__(self, truth: Truth, board: Board, rng: np.random.Generator) -> None:
         self._truth = truth
@@ -75,7 +75,7 @@ class Motion:
 def record(
     truth: Truth, camera: CameraModel, board: Board, noise: ImuNoise, rng: np.random.Generator
 ) -> tuple[Recording, Times, list[View], Motion]:
-    """IMU samples, stamps (shutter time minus offset) and views of a board; images that lose a corner are left out."""
+    """IMU samples, stamps (shutter minus offset), views; images that lose a corner omitted."""
     motion = Motion(truth, board, rng)
     t = np.arange(0.0, truth.seconds, 1.0 / truth.imu_hz)
     exact = np.array([np.concatenate(motion.imu(x)) for x in t])

@@ -1,6 +1,6 @@
-"""Images and views of a board by a known camera: x_o = R_oc (x_c - t), the colour of the square there.
+"""Images and views of a board by a known camera: x_o = R_oc (x_c - t).
 
-A pixel across an edge takes the mean of 55 rays on a Fibonacci lattice.
+Edge pixels: mean of 55 rays on a Fibonacci lattice.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ class Painter:
         self._by_v, self._by_u = (np.asarray(np.gradient(plane, axis=axis)) for axis in (0, 1))  # from pixel to pixel
 
     def paint(self, pose: Pose, rng: np.random.Generator, noise: float = 2.0, blur_px: float = 0.6) -> Grey:
-        """The image of a board at x_c = R @ x_o + t; noise: grey levels, blur_px: sigma of the lens' blur."""
+        """Image at x_c = R @ x_o + t; noise: grey levels, blur_px: sigma."""
         image = self._levels(pose, self._plane)
         around = np.ones((3, 3), np.uint8)
         edge = cv2.dilate(image, around) != cv2.erode(image, around)
@@ -42,7 +42,6 @@ class Painter:
         return np.asarray(np.clip(noisy, 0, 255), dtype=np.uint8)
 
     def _levels(self, pose: Pose, plane: Array) -> Array:
-        """Grey levels (...) where the rays (x, y, 1) of plane (..., 2) end."""
         # x_o = R^T (s ray - t) with z_o = 0
         rays_o, eye_o = plane @ pose.R[:2] + pose.R[2], -pose.R.T @ pose.t
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -55,7 +54,7 @@ class Painter:
 
 
 def poses(cameras: Sequence[tuple[CameraModel, Pose]], board: Board, count: int, rng: np.random.Generator) -> list[Pose]:
-    """Poses of a board as a person holds it: through the whole image, tilted to 40 degrees, wholly seen by all cameras."""
+    """Hand-held board poses: whole image, tilts to 40 degrees, seen by all cameras."""
     first = cameras[0][0]
     middle = board.points.mean(axis=0)
     chosen: list[Pose] = []
