@@ -4,7 +4,7 @@ The output holds the input byte for byte, without earlier outputs, and behind ea
 """
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from hashlib import sha256
 from pathlib import Path
 from typing import Protocol
@@ -21,6 +21,8 @@ from logs.store.recorder import CONFIG_ATTACHMENT, FINDINGS_ATTACHMENT, Recorder
 from logs.wire import schemas
 from logs.wire.codec import Decoder, is_own_transform
 from models.messages import OdometryDelta, OdometryPose, Output
+
+Message = tuple[str, str, bytes, int]  # topic, type, CDR, arrival
 
 TF_TOPIC = "/tf"
 OWN_PREFIX = "/landfix/"
@@ -83,9 +85,7 @@ def replay(
     parts = files_of(source)
     if out.exists() and any(part.exists() and out.samefile(part) for part in parts):
         raise LogError(f"{out}: the output would overwrite the input; name another file after -o")
-    parameters = config.fusion()
-    fusion, decoder, publisher = Fusion(parameters), config.decoder(), Publisher(config.output)
-    builder = SummaryBuilder(parameters.origin)
+    builder = SummaryBuilder(config.fusion().origin)
     text = config.toml().encode()
     began = time.perf_counter()
     metadata = {"version": version(), "config_sha256": sha256(text).hexdigest()}
@@ -93,20 +93,8 @@ def replay(
     with PartsReader(parts) as reader, Recorder(out, metadata=metadata, schemas=reader.schemas) as recorder:
         for attachment in kept:
             recorder.attach(*attachment)
-        for record in (seen for read in reader for seen in (processor.records(read) if processor else (read,))):
-            topic, schema, log_time_ns, data = record.topic, record.schema, record.log_time_ns, record.data
-            if _is_own_output(topic, schema, data):
-                continue
-            recorder.write(topic, schema, data, log_time_ns)
-            builder.record(log_time_ns)
-            message = decoder.decode(topic, schema, data, log_time_ns)
-            if message is not None and (odometry or not isinstance(message, OdometryDelta | OdometryPose)):
-                outputs = fusion.handle(message)
-                builder.step(message, outputs)
-                if processor:
-                    processor.note(outputs)
-                for encoded in publisher.encoded(outputs):
-                    recorder.write(*encoded, log_time_ns)
+        for message in logged(reader, config, builder, processor, odometry=odometry):
+            recorder.write(*message)
             if progress and builder.records % _PROGRESS_EVERY == 0:
                 progress(reader.fraction)
         if found := builder.findings():
@@ -117,6 +105,32 @@ def replay(
             if _kind(attachment) not in kinds:
                 recorder.attach(*attachment)
     return builder.summary(time.perf_counter() - began, reader.torn, reader.skipped_chunks, reader.missing, reader.imported_as)
+
+
+def logged(
+    records: Iterable[Record],
+    config: ReplayConfig,
+    builder: SummaryBuilder,
+    processor: SeesAgain | None = None,
+    *,
+    odometry: bool = True,
+) -> Iterator[Message]:
+    """What a replay logs, in order: each record that is no earlier output, and the outputs it caused; builder counts them."""
+    fusion, decoder, publisher = Fusion(config.fusion()), config.decoder(), Publisher(config.output)
+    for record in (seen for read in records for seen in (processor.records(read) if processor else (read,))):
+        topic, schema, log_time_ns, data = record.topic, record.schema, record.log_time_ns, record.data
+        if _is_own_output(topic, schema, data):
+            continue
+        yield topic, schema, data, log_time_ns
+        builder.record(log_time_ns)
+        message = decoder.decode(topic, schema, data, log_time_ns)
+        if message is not None and (odometry or not isinstance(message, OdometryDelta | OdometryPose)):
+            outputs = fusion.handle(message)
+            builder.step(message, outputs)
+            if processor:
+                processor.note(outputs)
+            for encoded in publisher.encoded(outputs):
+                yield *encoded, log_time_ns
 
 
 def _kind(attachment: Attachment) -> str:

@@ -54,11 +54,11 @@ class ReplaySummary(msgspec.Struct, frozen=True):
 
 
 class SummaryBuilder:
-    """Counts records, inputs and outputs as they pass. origin: of the map, where it is configured."""
+    """Counts records, inputs and outputs as they pass. origin: of the map, where it is configured; watch: for findings."""
 
-    def __init__(self, origin: Vec3 | None = None) -> None:
+    def __init__(self, origin: Vec3 | None = None, *, watch: bool = True) -> None:
         self.records = 0
-        self._watch = Watch(origin)
+        self._watch = Watch(origin) if watch else None
         self._imu = self._positions = self._estimates = self._resets = self._internal = 0
         self._first_ns: int | None = None
         self._last_ns = 0
@@ -80,7 +80,8 @@ class SummaryBuilder:
 
     def step(self, message: Input, outputs: list[Output]) -> None:
         """One input and what it caused."""
-        self._watch.add(message)
+        if self._watch:
+            self._watch.add(message)
         if isinstance(message, ImuSample):
             self._imu += 1
         elif isinstance(message, GnssFix | PoseFix | LandmarkFix):
@@ -128,7 +129,7 @@ class SummaryBuilder:
 
     def findings(self) -> list[Finding]:
         """The streams at fault so far."""
-        return self._watch.findings()
+        return self._watch.findings() if self._watch else []
 
     def summary(self, elapsed_s: float, torn: list[str], skipped_chunks: int, missing: str, kind: str) -> ReplaySummary:
         """All of it, at the end; kind: of the importer that wrote the log, or empty."""

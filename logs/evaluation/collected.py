@@ -131,6 +131,69 @@ class _Sheaf:
         return self.parsed(lambda data: schemas.STORE.deserialize_cdr(data, self.schema))
 
 
+class Collector:
+    """Takes the messages of a log, one after the other, and keeps those that an evaluation reads.
+
+    truth_topic: of the reference; most: estimates and truths kept, evenly.
+    """
+
+    def __init__(self, truth_topic: str = TRUTH_TOPIC, most: int | None = None) -> None:
+        self._truth_topic, self._most = truth_topic, most
+        self._own = {ODOMETRY_TOPIC, _AID_TOPIC, _HEALTH_TOPIC, _RESET_TOPIC, _GLOBAL_TOPIC, INTEGRITY_TOPIC, truth_topic}
+        self._sheaves: dict[str, _Sheaf] = {}
+
+    def add(self, topic: str, schema: str, data: bytes, log_time_ns: int) -> None:
+        """The next message."""
+        if topic in self._own or schema in _FIX_TYPES:
+            sheaf = self._sheaves.get(topic)
+            if sheaf is None:
+                most = self._most if topic in {ODOMETRY_TOPIC, self._truth_topic} else None
+                sheaf = self._sheaves[topic] = _Sheaf(schema, most)
+            sheaf.add(data, log_time_ns)
+
+    def collected(
+        self,
+        path: Path,
+        attachments: tuple[Attachment, ...] = (),
+        metadata: dict[str, dict[str, str]] | None = None,
+        skipped_chunks: int = 0,
+        *,
+        torn: bool = False,
+    ) -> Collected:
+        """All of it; path and the rest: of the log. Raises LogError as read does."""
+        sheaves = self._sheaves
+        aids = _aids(self._of(_AID_TOPIC))
+        if ODOMETRY_TOPIC not in sheaves:
+            if sheaves.keys() & {_AID_TOPIC, _HEALTH_TOPIC}:
+                words = f"{path}: the estimator made no estimate of it: {_waited_for(self._of(_HEALTH_TOPIC))}"
+                raise NoEstimateError(words, aids, attachments, torn=torn)
+            lacks = f"holds no {ODOMETRY_TOPIC}{' before it is cut off' if torn else ''}"
+            raise LogError(f"{path}: {lacks}; make an estimate first: landfix replay {path} -o estimate.mcap")
+        estimate = _estimate(path, sheaves[ODOMETRY_TOPIC])
+        origin = _origin(estimate, self._of(_GLOBAL_TOPIC))
+        return Collected(
+            estimate=estimate,
+            truth=_truth(path, self._truth_topic, sheaves.get(self._truth_topic), origin),
+            aids=aids,
+            health=_health(self._of(_HEALTH_TOPIC)),
+            resets=_resets(self._of(_RESET_TOPIC)),
+            fixes=_fixes({t: s for t, s in sheaves.items() if t not in self._own and s.schema in _FIX_TYPES}, aids, origin),
+            torn=torn,
+            unreadable=sum(sheaf.unreadable for sheaf in sheaves.values()),
+            origin=origin,
+            every=sheaves[ODOMETRY_TOPIC].every,
+            estimates=len(estimate) if sheaves[ODOMETRY_TOPIC].every == 1 else sheaves[ODOMETRY_TOPIC].seen,
+            attachments=attachments,
+            metadata=metadata or {},
+            skipped_chunks=skipped_chunks,
+            reference=_reference(attachments) if self._truth_topic == TRUTH_TOPIC else "",
+            integrity=tuple(i for _, i in self._of(INTEGRITY_TOPIC).parsed(decode_integrity)),
+        )
+
+    def _of(self, topic: str) -> _Sheaf:
+        return self._sheaves.get(topic) or _Sheaf("")
+
+
 def read(
     path: Path,
     truth_topic: str = TRUTH_TOPIC,
@@ -144,52 +207,25 @@ def read(
     most: estimates and truths kept, evenly; see: gets every record of the same pass. Raises LogError without an estimate, or
     without a truth on a topic that was asked for.
     """
-    own = {ODOMETRY_TOPIC, _AID_TOPIC, _HEALTH_TOPIC, _RESET_TOPIC, _GLOBAL_TOPIC, INTEGRITY_TOPIC, truth_topic}
-    poses = {ODOMETRY_TOPIC, truth_topic}
-    sheaves: dict[str, _Sheaf] = {}
+    collector = Collector(truth_topic, most)
     with LogReader(path) as reader:
         for count, record in enumerate(reader):
-            if record.topic in own or record.schema in _FIX_TYPES:
-                if record.topic not in sheaves:
-                    sheaves[record.topic] = _Sheaf(record.schema, most if record.topic in poses else None)
-                sheaves[record.topic].add(record.data, record.log_time_ns)
+            collector.add(record.topic, record.schema, record.data, record.log_time_ns)
             if see:
                 see(record)
             if progress and count % _PROGRESS_EVERY == 0:
                 progress(reader.fraction)
-        torn, skipped_chunks = reader.torn, reader.skipped_chunks
-        attachments, metadata = tuple(reader.attachments), reader.metadata
-    if ODOMETRY_TOPIC not in sheaves:
-        if sheaves.keys() & {_AID_TOPIC, _HEALTH_TOPIC}:
-            words = f"{path}: the estimator made no estimate of it: {_waited_for(sheaves.get(_HEALTH_TOPIC, _Sheaf('')))}"
-            raise NoEstimateError(words, _aids(sheaves.get(_AID_TOPIC, _Sheaf(""))), attachments, torn=torn)
-        lacks = f"holds no {ODOMETRY_TOPIC}{' before it is cut off' if torn else ''}"
-        raise LogError(f"{path}: {lacks}; make an estimate first: landfix replay {path} -o estimate.mcap")
-    estimate = decode(schemas.ODOMETRY, sheaves[ODOMETRY_TOPIC].data, sheaves[ODOMETRY_TOPIC].arrived_ns)
+        attachments, torn = tuple(reader.attachments), reader.torn
+        return collector.collected(path, attachments, reader.metadata, reader.skipped_chunks, torn=torn)
+
+
+def _estimate(path: Path, sheaf: _Sheaf) -> Trajectory:
+    estimate = decode(schemas.ODOMETRY, sheaf.data, sheaf.arrived_ns)
     if not len(estimate):
         raise LogError(f"{path}: no message of {ODOMETRY_TOPIC} is whole")
     if not np.isfinite(estimate.p).all(axis=1).any():
         raise LogError(f"{path}: none of its {len(estimate)} estimates is a number")
-    origin = _origin(estimate, sheaves.get(_GLOBAL_TOPIC, _Sheaf("")))
-    aids = _aids(sheaves.get(_AID_TOPIC, _Sheaf("")))
-    return Collected(
-        estimate=estimate,
-        truth=_truth(path, truth_topic, sheaves.get(truth_topic), origin),
-        aids=aids,
-        health=_health(sheaves.get(_HEALTH_TOPIC, _Sheaf(""))),
-        resets=_resets(sheaves.get(_RESET_TOPIC, _Sheaf(""))),
-        fixes=_fixes({t: s for t, s in sheaves.items() if t not in own and s.schema in _FIX_TYPES}, aids, origin),
-        torn=torn,
-        unreadable=sum(sheaf.unreadable for sheaf in sheaves.values()),
-        origin=origin,
-        every=sheaves[ODOMETRY_TOPIC].every,
-        estimates=len(estimate) if sheaves[ODOMETRY_TOPIC].every == 1 else sheaves[ODOMETRY_TOPIC].seen,
-        attachments=attachments,
-        metadata=metadata,
-        skipped_chunks=skipped_chunks,
-        reference=_reference(attachments) if truth_topic == TRUTH_TOPIC else "",
-        integrity=tuple(i for _, i in sheaves.get(INTEGRITY_TOPIC, _Sheaf("")).parsed(decode_integrity)),
-    )
+    return estimate
 
 
 def _truth(path: Path, topic: str, sheaf: _Sheaf | None, origin: Origin | None) -> Trajectory:

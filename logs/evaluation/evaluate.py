@@ -39,7 +39,7 @@ LONGEST_STEP_NS: Final = 250_000_000  # an estimate is not interpolated over a l
 ALL_SOURCES: Final = "all"
 _ODOMETRY: Final = "odometry"
 _SHORTEST_OUTAGE_S: Final = 2.0
-_MOST: Final = 100_000  # estimates, 8 minutes at 200 Hz: of more every 2nd, 4th, ... is compared, so memory does not grow
+MOST: Final = 100_000  # estimates, 8 minutes at 200 Hz: of more every 2nd, 4th, ... is compared, so memory does not grow
 _SAME_FIX_NS: Final = 10_000_000
 _NOT_GIVEN_M2: Final = 9e4
 _RELATIVE_S, _RELATIVE_M = (1.0, 10.0), (10.0, 100.0)
@@ -197,8 +197,8 @@ def evaluate(
     truth_topic: Odometry, PoseWithCovarianceStamped, PoseStamped or NavSatFix; burn_in_s: not compared after the first estimate;
     outage_s: see find_outages; without_odometry: the same flight replayed without odometry. Raises LogError.
     """
-    collected = read(path, truth_topic, progress, most=_MOST)
-    without = read(without_odometry, truth_topic, most=_MOST).estimate if without_odometry else None
+    collected = read(path, truth_topic, progress, most=MOST)
+    without = read(without_odometry, truth_topic, most=MOST).estimate if without_odometry else None
     return assess(collected, str(path), burn_in_s, outage_s, without)
 
 
@@ -208,8 +208,10 @@ def assess(
     burn_in_s: float = 0.0,
     outage_s: float | None = None,
     without_odometry: Trajectory | None = None,
+    *,
+    relative: bool = True,
 ) -> Evaluation:
-    """The Evaluation of what was read."""
+    """The Evaluation of what was read; relative: whether with relative errors."""
     estimate, truth = collected.estimate, collected.truth
     outages = find_outages(collected.aids, collected.health, estimate, outage_s)
     start, end = int(estimate.t_ns[0]), int(estimate.t_ns[-1])
@@ -234,7 +236,7 @@ def assess(
         without_truth=_count_far(truth, estimate),
         modes=_mode_shares(collected.health, end),
         without_absolute_s=without,
-        accuracy=_accuracy(comparison, aided) if compared else None,
+        accuracy=_accuracy(comparison, aided, relative=relative) if compared else None,
         consistency=_consistency(comparison, aided) if compared else None,
         outages=tuple(
             _outage(source, span, comparison, start, steps, beside) for source, of in outages.items() for span in of.spans
@@ -280,7 +282,7 @@ def _mode_shares(health: tuple[HealthPoint, ...], end_ns: int) -> dict[str, floa
     return {mode: ns / total.total() for mode, ns in total.items()} if total.total() else {}
 
 
-def _accuracy(c: Comparison, aided: Mask) -> Accuracy:
+def _accuracy(c: Comparison, aided: Mask, *, relative: bool) -> Accuracy:
     p_est, p_true = c.estimate.p, c.truth.p
     attitude = c.has_attitude
     theta_deg, velocity = np.rad2deg(c.theta_error), np.isfinite(c.v_error).all(axis=1)
@@ -298,7 +300,7 @@ def _accuracy(c: Comparison, aided: Mask) -> Accuracy:
         tilt_deg=metrics.stats(theta_deg[attitude, :2]),
         heading_deg=metrics.stats(theta_deg[attitude, 2]),
         velocity_m_s=metrics.stats(c.truth.v[velocity] - c.estimate.v[velocity]),
-        relative=_relative(c[attitude]),
+        relative=_relative(c[attitude]) if relative else (),
     )
 
 

@@ -7,28 +7,28 @@ from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import msgspec
 
 from estimator.config import Config, ConfigError, parse, read
 from estimator.replay.from_images import seen_again
-from estimator.replay.replay import OWN_INPUTS, replay
-from estimator.replay.summary import ReplaySummary
+from estimator.replay.replay import OWN_INPUTS, OWN_PREFIX, SeesAgain, logged, replay
+from estimator.replay.summary import SummaryBuilder
 from estimator.tools.fleet.errors import FleetError
 from estimator.tools.fleet.rows import Row, of_evaluation
 from estimator.tools.fleet.selected import copy_selected
 from estimator.tools.fleet.store import Flight, open_at
 from estimator.version import version
-from logs.evaluation.collected import TRUTH_TOPIC
-from logs.evaluation.collected import read as collect
-from logs.evaluation.evaluate import assess
+from logs.evaluation.collected import TRUTH_TOPIC, Collected, Collector
+from logs.evaluation.evaluate import MOST, assess
 from logs.importers import convert, kind_of_name
 from logs.store.parts import PartsReader
 from logs.store.reader import LogError
 from logs.store.recorder import CONFIG_ATTACHMENT
 
 _PACKAGES: Final = ("estimator", "vision", "models", "calib", "logs")
+_OF_SUMMARY: Final = ("first_estimate_s", "internal_errors", "torn", "skipped_chunks", "missing")
 _SLOWEST_HZ: Final = 0.01
 _ROOT: Final = Path(__file__).parents[3]
 
@@ -102,18 +102,35 @@ def _one_line(error: Exception) -> str:
 
 def _result(flight: Flight, settings: Settings, scratch: Path, row: dict[str, Any]) -> dict[str, Any]:
     """All columns that the flight fills; those known where it fails are put into `row`."""
-    collected = collect(estimate(flight, settings, scratch, row), settings.truth)
-    found = of_evaluation(assess(collected, flight.log))
+    collected = _collected(_prepared(flight, settings, scratch, row), settings.truth, row)
+    found = of_evaluation(assess(collected, flight.log, relative=False))
     if collected.origin is not None:
         found |= {"lat_deg": collected.origin.lla[0], "lon_deg": collected.origin.lla[1]}
     return found
 
 
-def estimate(flight: Flight, settings: Settings, scratch: Path, row: dict[str, Any]) -> Path:
-    """The flight as replay writes it, in `scratch`; what is known of it on the way is put into `row`. Raises LogError."""
+class _Prepared(NamedTuple):
+    """What a replay of a flight takes."""
+
+    files: list[Path]
+    config: Config
+    processor: SeesAgain | None
+
+
+def estimate(flight: Flight, settings: Settings, scratch: Path) -> Path:
+    """The log that replay writes of the flight, in `scratch`. Raises LogError where it has no estimate."""
+    files, config, processor = _prepared(flight, settings, scratch, {})
+    out = scratch / "estimate.mcap"
+    summary = replay(files, out, _sparse(config), processor=processor)
+    if summary.advice:
+        raise LogError(f"no estimate: {summary.advice}")
+    return out
+
+
+def _prepared(flight: Flight, settings: Settings, scratch: Path, row: dict[str, Any]) -> _Prepared:
+    """The flight out of the store; what is known of it is put into `row`."""
     config = parse(settings.configuration) if settings.configuration is not None else None
-    wanted = _wanted(config, settings.truth, images=settings.from_images)
-    files, own = _local(flight, wanted, scratch, row)
+    files, own = _local(flight, _wanted(config, settings.truth, images=settings.from_images), scratch, row)
     with PartsReader(files) as reader:
         row["start_utc_s"] = next((record.log_time_ns * 1e-9 for record in reader), None)
         row["imported_as"] = reader.imported_as
@@ -121,25 +138,23 @@ def estimate(flight: Flight, settings: Settings, scratch: Path, row: dict[str, A
             config = own or _recorded_with(reader)
     row["configuration_sha256"] = sha256(config.toml().encode()).hexdigest()
     row["vehicle"] = config.bounds.vehicle
-    out, processor = scratch / "estimate.mcap", None
-    if settings.from_images:
-        vehicle = _written(settings.files, scratch / "vehicle")
-        processor = seen_again(config, vehicle, files)
-    summary = replay(files, out, _sparse(config), processor=processor)
-    row |= _of_summary(summary)
+    if not settings.from_images:
+        return _Prepared(files, config, None)
+    return _Prepared(files, config, seen_again(config, _written(settings.files, scratch / "vehicle"), files))
+
+
+def _collected(prepared: _Prepared, truth: str, row: dict[str, Any]) -> Collected:
+    """What an evaluation would read from the log of the replay, which is not written. Raises LogError."""
+    files, config, processor = prepared
+    collector, builder = Collector(truth, MOST), SummaryBuilder(watch=False)
+    with PartsReader(files) as reader:
+        for message in logged(reader, _sparse(config), builder, processor):
+            collector.add(*message)
+    summary = builder.summary(0.0, reader.torn, reader.skipped_chunks, reader.missing, reader.imported_as)
+    row |= {name: getattr(summary, name) for name in _OF_SUMMARY}
     if summary.advice:
         raise LogError(f"no estimate: {summary.advice}")
-    return out
-
-
-def _of_summary(summary: ReplaySummary) -> dict[str, Any]:
-    return {
-        "first_estimate_s": summary.first_estimate_s,
-        "internal_errors": summary.internal_errors,
-        "torn": summary.torn,
-        "skipped_chunks": summary.skipped_chunks,
-        "missing": summary.missing,
-    }
+    return collector.collected(files[0], tuple(reader.attachments))
 
 
 def _local(flight: Flight, wanted: Callable[[str], bool], scratch: Path, row: dict[str, Any]) -> tuple[list[Path], Config | None]:
@@ -187,7 +202,7 @@ def _written(files: dict[str, bytes], folder: Path) -> Path:
 def _wanted(config: Config | None, truth: str, *, images: bool) -> Callable[[str], bool]:
     """Which topics a replay and an evaluation read; without a configuration all that are no images."""
     if config is None:
-        return lambda topic: "image" not in topic
+        return lambda topic: "image" not in topic and (topic in OWN_INPUTS or not topic.startswith(OWN_PREFIX))
     topics = {topic for value in msgspec.structs.asdict(config.inputs).values() for topic in _flat(value)}
     seen = set() if images else {*config.inputs.left_image, *config.inputs.right_image}
     return (topics - seen | OWN_INPUTS | {truth}).__contains__

@@ -33,7 +33,7 @@ def _write(row: Rows, results: str, out: Path) -> bool:
     settings = Settings(row["label"], configuration(results, row["configuration_sha256"]))
     with TemporaryDirectory(prefix="landfix-") as scratch:
         try:
-            write(estimate(flight, settings, Path(scratch), {}), out, illustrate=no_illustrations)
+            write(estimate(flight, settings, Path(scratch)), out, illustrate=no_illustrations)
         except LogError:
             return False
     return True

@@ -17,7 +17,9 @@ from estimator.tools.fleet.errors import FleetError
 from logs.store.parts import flight_of
 
 _LISTS: Final = (".txt", ".lst")
-_STATE: Final = ("ETag", "etag", "md5", "md5Hash", "content_md5", "mtime", "LastModified", "last_modified")
+_STATE: Final = (  # the first that a store lists, a digest of the content before a time
+    "ETag", "etag", "md5", "md5Hash", "content_md5", "mtime", "LastModified", "last_modified",
+)  # fmt: skip
 
 
 class Flight(msgspec.Struct, frozen=True):
@@ -92,6 +94,7 @@ def _found(address: str) -> dict[str, dict[str, Any]]:
 def _flight(log: str, parts: list[str], files: dict[str, dict[str, Any]]) -> Flight:
     infos = [files[part] for part in parts]
     states = [
-        (PurePosixPath(p).name, i.get("size"), *(str(i[k]) for k in _STATE if k in i)) for p, i in zip(parts, infos, strict=True)
+        (PurePosixPath(p).name, i.get("size"), next((str(i[k]) for k in _STATE if k in i), ""))
+        for p, i in zip(parts, infos, strict=True)
     ]
     return Flight(log, tuple(parts), sum(i.get("size") or 0 for i in infos), sha256(repr(states).encode()).hexdigest())

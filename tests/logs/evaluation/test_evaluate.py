@@ -405,7 +405,7 @@ def test_estimates_without_an_attitude_are_finite_and_their_positions_count(log:
 
 def test_a_long_log_is_thinned_and_judged_alike(log: Path, consistent: Evaluation, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 3001 estimates at 25 Hz every 16th is left: 0.64 s apart, no hole."""
-    monkeypatch.setattr("logs.evaluation.evaluate._MOST", 200)
+    monkeypatch.setattr("logs.evaluation.evaluate.MOST", 200)
     thinned = evaluate(log)
     assert (thinned.estimates, thinned.compared, thinned.without_estimate) == (3001, 188, 0)
     assert thinned.notes == ("errors are computed from one of 16 estimates",)

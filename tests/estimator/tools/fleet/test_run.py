@@ -80,6 +80,8 @@ def test_a_store_that_fails_and_a_worker_that_is_killed_change_no_row(fleet: Pat
         assert (summary.done, summary.unfinished) == (FLIGHTS, {})
         assert rows("s3://flights/results", "stormy") == expected
         assert application.gets >= 3 * FLIGHTS
+        store.put([str(p) for p in fleet.glob("*.mcap")], "flights/")  # the same bytes, later
+        assert run(flights(["s3://flights/*.mcap"]), settings, "s3://flights/results", client).known == FLIGHTS
 
 
 def test_a_log_that_fails_has_a_row_that_says_why(fleet: Path, client: Client, tmp_path: Path) -> None:
