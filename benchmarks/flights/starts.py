@@ -1,5 +1,7 @@
 """Recorded flights and native logs from their beginning: when the estimate begins, and how good it is from then on.
 
+python -m benchmarks.flights.starts
+
     before: s from the first position to the first estimate with a heading by GNSS alone, all that was published once
     begins, heading: the same to the first estimate, and to the first with a heading
     of the first 180 s since a position:
@@ -176,11 +178,16 @@ def _mean(values: list[float]) -> float:
     return float(np.mean(values)) if values else math.nan
 
 
-def table(pool: ProcessPoolExecutor) -> Table:
-    """A row for each log and configuration."""
+def main() -> None:
+    """A row for each log and configuration, in two processes."""
     found, rows = jobs(), []
-    for job, result in zip(found, pool.map(start, found), strict=True):
-        rows.append((*job, *map(number, result)))
-        print(*rows[-1], sep="  ", flush=True)
+    with ProcessPoolExecutor(2) as pool:
+        for job, result in zip(found, pool.map(start, found), strict=True):
+            rows.append((*job, *map(number, result)))
+            print(*rows[-1], sep="  ", flush=True)
     columns = ("log", "with", "begins [s]", "heading [s]", "error [m]", "position NEES/3", "attitude NEES/3")
-    return Table("Starts of recorded flights and logs", columns, rows)
+    print(Table("Starts of recorded flights and logs", columns, rows).markdown())
+
+
+if __name__ == "__main__":
+    main()

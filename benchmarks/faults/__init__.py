@@ -1,1 +1,0 @@
-"""Faults of the optional sensors: what each costs, and what is reported."""
