@@ -1,4 +1,4 @@
-"""Everything a log holds about an estimate, read in one pass: the estimate, the truth, and the decision on each measurement."""
+"""Contents of a log for its evaluation, read in one pass: estimate, truth, decisions."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class HealthPoint:
-    """What evaluation needs of a Health: mode, and seconds since an absolute position was fused."""
+    """Mode, and seconds since an absolute position was fused."""
 
     t_ns: int
     mode: str
@@ -37,7 +37,7 @@ class HealthPoint:
 
 @dataclass(frozen=True, slots=True)
 class Jump:
-    """A Reset as on the wire, in the axes of map."""
+    """A Reset in map axes."""
 
     t_ns: int
     counter: int
@@ -48,7 +48,7 @@ class Jump:
 
 @dataclass(frozen=True, slots=True)
 class Fixes:
-    """Positions that one topic measured, (n, 3) m in map, and which of them were used: fused, or for the alignment."""
+    """Positions (n, 3) m in map of one topic, and which were used."""
 
     t_ns: Times
     p: Array
@@ -57,11 +57,10 @@ class Fixes:
 
 @dataclass(frozen=True, slots=True)
 class Collected:
-    """The part of a log that an evaluation reads.
+    """The evaluated part of a log.
 
-    aids: last decision on each measurement; truth: empty without one; reference: kind of truth that is none (the autopilot's own
-    estimate); unreadable: malformed messages; origin: of map, where the log holds it; every: one of so many of the `estimates`
-    is kept.
+    aids: last decision on each measurement; truth: perhaps empty; reference: kind of a truth that is the autopilot's estimate;
+    unreadable: malformed messages; origin: of map, if known; every: thinning of `estimates`.
     """
 
     estimate: Trajectory
@@ -88,7 +87,7 @@ class Collected:
 
 
 class NoEstimateError(LogError):
-    """A log that went through the estimator and came out without an estimate; aids: the last decision on each measurement."""
+    """A log without an estimate although it was processed; aids: last decisions."""
 
     def __init__(self, words: str, aids: tuple[AidStatus, ...], attachments: tuple[Attachment, ...], *, torn: bool) -> None:
         super().__init__(words)
@@ -96,7 +95,7 @@ class NoEstimateError(LogError):
 
 
 class _Sheaf:
-    """Messages of one topic, as bytes, with their arrivals: all, or of the first, every 2nd, 4th, ... so that `most` suffice."""
+    """Messages of a topic as bytes with arrivals, thinned by powers of two to `most`."""
 
     __slots__ = ("_most", "arrived_ns", "data", "every", "schema", "seen", "unreadable")
 
@@ -118,7 +117,7 @@ class _Sheaf:
             del self.data[1::2], self.arrived_ns[1::2]
 
     def parsed(self, parse: Callable[[bytes], T]) -> Iterator[tuple[int, T]]:
-        """Arrival and content of each message; one that cannot be parsed is counted and left out."""
+        """Arrival and content of each message; malformed ones are counted."""
         self.unreadable = 0
         for arrived_ns, data in zip(self.arrived_ns, self.data, strict=True):
             try:
@@ -127,7 +126,6 @@ class _Sheaf:
                 self.unreadable += 1
 
     def messages(self) -> Iterator[tuple[int, Any]]:
-        """Arrival and content of each message, as an object of its type."""
         return self.parsed(lambda data: schemas.STORE.deserialize_cdr(data, self.schema))
 
 
@@ -202,10 +200,9 @@ def read(
     most: int | None = None,
     see: Callable[[Record], None] | None = None,
 ) -> Collected:
-    """The Collected of a log; progress is called with the fraction done.
+    """The Collected of a log; progress gets the fraction done.
 
-    most: estimates and truths kept, evenly; see: gets every record of the same pass. Raises LogError without an estimate, or
-    without a truth on a topic that was asked for.
+    most: estimates and truths kept; see: gets every record. Raises LogError without an estimate or the wanted truth.
     """
     collector = Collector(truth_topic, most)
     with LogReader(path) as reader:
@@ -229,7 +226,6 @@ def _estimate(path: Path, sheaf: _Sheaf) -> Trajectory:
 
 
 def _truth(path: Path, topic: str, sheaf: _Sheaf | None, origin: Origin | None) -> Trajectory:
-    """The truth of a topic that gives poses or geodetic positions; rows without a finite position are left out."""
     if sheaf is None:
         if topic != TRUTH_TOPIC:
             raise LogError(f"{path}: holds no {topic}; name a topic that does hold a reference with --truth")
@@ -247,7 +243,7 @@ def _reference(attachments: Iterable[Attachment]) -> str:
 
 
 def _positions(sheaf: _Sheaf, origin: Origin | None) -> Trajectory | None:
-    """Where the messages of a topic say the body (or antenna) was; None where they do not say it."""
+    """Body or antenna positions in a topic's messages; None without any."""
     if sheaf.schema in POSE_TYPES:
         return decode(sheaf.schema, sheaf.data, sheaf.arrived_ns)
     if sheaf.schema == schemas.NAV_SAT_FIX and origin is not None:
@@ -260,7 +256,7 @@ def _positions(sheaf: _Sheaf, origin: Origin | None) -> Trajectory | None:
 
 
 def _origin(estimate: Trajectory, sheaf: _Sheaf) -> Origin | None:
-    """Origin of map from one estimate in map and as latitude and longitude, by iteration: the axes of map turn with it."""
+    """Origin of map, iterated, from an estimate in map and as latitude and longitude."""
     for _, fix in sheaf.messages():
         row = int(np.searchsorted(estimate.t_ns, _t_ns(fix)))
         if row < len(estimate) and estimate.t_ns[row] == _t_ns(fix) and np.isfinite(estimate.p[row]).all():
@@ -274,7 +270,6 @@ def _origin(estimate: Trajectory, sheaf: _Sheaf) -> Origin | None:
 
 
 def _aids(sheaf: _Sheaf) -> tuple[AidStatus, ...]:
-    """The last decision on each measurement, in order of validity."""
     last: dict[tuple[str, str, int, int], AidStatus] = {}
     for _, status in sheaf.parsed(decode_aid_status):
         key = (status.topic, status.kind, status.t_ns, status.arrived_ns)
@@ -292,7 +287,7 @@ def _health(sheaf: _Sheaf) -> tuple[HealthPoint, ...]:
 
 
 def _waited_for(sheaf: _Sheaf) -> str:
-    """What the last Health with a detail names as missing."""
+    """What the last Health with a detail waits for."""
     details = [pair.value for _, m in sheaf.messages() for status in m.status for pair in status.values if pair.key == "detail"]
     return next((detail for detail in reversed(details) if detail), "it does not say why")
 
@@ -306,9 +301,6 @@ def _resets(sheaf: _Sheaf) -> tuple[Jump, ...]:
 
 
 def _fixes(sheaves: dict[str, _Sheaf], aids: Iterable[AidStatus], origin: Origin | None) -> dict[str, Fixes]:
-    """The fixes on whose topics a decision was made, with that decision, by arrival (validity is the stamp less the configured
-    delay).
-    """
     used: dict[str, set[int]] = {}
     for status in aids:
         arrivals = used.setdefault(status.topic, set())

@@ -1,4 +1,4 @@
-"""Evaluation of the estimate in a log, with a truth or without, as one record.
+"""Evaluation of a log's estimate, with or without a truth.
 
     evaluation = evaluate(Path("estimate.mcap"))
     logs.evaluation.table.print_table(evaluation)         # for a person
@@ -49,8 +49,8 @@ _RELATIVE_S, _RELATIVE_M = (1.0, 10.0), (10.0, 100.0)
 class Comparison:
     """Estimate and truth at n common stamps; errors are true minus estimated.
 
-    p_error: (n, 3) m, p_covariance: (n, 3, 3) of both; theta_error: (n, 3) rad about the axes of map, v_error: (n, 3) m/s along
-    the body, nan: not in the truth; left_out: truth stamps without estimate.
+    p_error: (n, 3) m, p_covariance: (n, 3, 3) of both; theta_error: (n, 3) rad about map axes, v_error: (n, 3) m/s along the
+    body, nan: not given; left_out: truth stamps without estimate.
     """
 
     estimate: Trajectory
@@ -82,9 +82,7 @@ class Comparison:
 
 
 def compare(estimate: Trajectory, truth: Trajectory, every: int = 1) -> Comparison:
-    """The estimate and its errors at the truth's stamps; positions count without an attitude (variance >= 10 rad^2); every: one
-    of so many.
-    """
+    """The estimate's errors at the truth's stamps, positions also without attitude (variance >= 10 rad^2); every: thinning."""
     estimate = estimate[np.asarray(np.isfinite(estimate.p).all(axis=1))]
     step_ns = int(1.5 * np.median(np.diff(estimate.t_ns))) if every > 1 and len(estimate) > 1 else 0
     at, covered = interpolate(estimate, truth.t_ns, max(LONGEST_STEP_NS, step_ns))
@@ -104,7 +102,7 @@ def compare(estimate: Trajectory, truth: Trajectory, every: int = 1) -> Comparis
 
 
 def _known(covariance: Array) -> Array:
-    """The truth's own covariance, zero where it has none."""
+    """The truth's covariance, zero where not given."""
     variances = np.diagonal(covariance, axis1=1, axis2=2)
     given = np.isfinite(covariance).all(axis=(1, 2)) & ((variances >= 0.0) & (variances < _NOT_GIVEN_M2)).all(axis=1)
     return np.where(np.reshape(given, (-1, 1, 1)), covariance, 0.0)
@@ -112,7 +110,7 @@ def _known(covariance: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Outages:
-    """Outages of one source (a topic, or "all"): every wait longer than longer_than_s is one."""
+    """Outages of a source (a topic, or "all"): waits longer than longer_than_s."""
 
     longer_than_s: float
     spans: list[tuple[int, int]]
@@ -121,12 +119,11 @@ class Outages:
 def find_outages(
     aids: Iterable[AidStatus], health: Iterable[HealthPoint], estimate: Trajectory, longer_than_s: float | None = None
 ) -> dict[str, Outages]:
-    """Spans without absolute information, of all sources ("all") and of each topic where there are several.
+    """Spans without absolute information, of all sources ("all") and each topic.
 
-    A wait runs from the validity of the newest absolute measurement (fused or aligning) to the arrival of a newer one of its
-    source. It is an outage beyond 3 x that source's median wait and 2 s, or beyond longer_than_s. "all": every source is in an
-    outage. Without
-    AidStatus the Health's age of the last absolute fix is used. The start of the estimate counts as information.
+    A wait runs from the validity of the newest absolute measurement (fused or aligning) to the arrival of a newer one; an outage
+    is longer than 3 x the median wait and 2 s, or longer_than_s. "all": every source is in one. Without AidStatus: by Health's
+    age. The estimate's start counts as information.
     """
     aids, health = tuple(aids), tuple(health)
     start, end = int(estimate.t_ns[0]), int(estimate.t_ns[-1])
@@ -142,14 +139,14 @@ def find_outages(
 
 
 def is_absolute(kind: str, reason: Reason, t_ns: int, start_ns: int) -> bool:
-    """Did the measurement say where the vehicle is, from the first estimate on? One with an unknown heading takes it aligning."""
+    """Whether the measurement gave the position; before a known heading it does so aligning."""
     return kind in ABSOLUTE_KINDS and (reason is Reason.FUSED or (reason is Reason.ALIGNING and t_ns >= start_ns))
 
 
 def outages_between(
     seen: Mapping[str, list[tuple[int, int]]], start: int, end: int, longer_than_s: float | None = None
 ) -> dict[str, Outages]:
-    """find_outages of what was seen: source -> validity and arrival of its absolute measurements; start, end: of the estimate."""
+    """Outages of source -> validity and arrival of absolute measurements; start, end: of the estimate."""
     outages = {source: _outages_of(points, start, end, longer_than_s) for source, points in seen.items()}
     if len(outages) > 1:
         return {ALL_SOURCES: _in_all(list(outages.values())), **outages}
@@ -157,7 +154,7 @@ def outages_between(
 
 
 def _from_ages(health: Iterable[HealthPoint]) -> list[tuple[int, int]]:
-    """Validity and arrival of absolute fixes, from their age in each Health, which is rounded: nearer ones are the same fix."""
+    """Validity and arrival of absolute fixes by their rounded age in Health."""
     points: list[tuple[int, int]] = []
     for h in health:
         if np.isfinite(h.absolute_age_s):
@@ -168,7 +165,6 @@ def _from_ages(health: Iterable[HealthPoint]) -> list[tuple[int, int]]:
 
 
 def _outages_of(points: list[tuple[int, int]], start: int, end: int, longer_than_s: float | None) -> Outages:
-    """Of one source, whose absolute measurements were valid and arrived at these times."""
     valid, arrived = np.array([*points, (start, start)], np.int64).T
     waited = np.diff(metrics.waits(valid, arrived))
     usual_s = float(np.median(waited)) * 1e-9 if len(waited) else 0.0
@@ -177,7 +173,7 @@ def _outages_of(points: list[tuple[int, int]], start: int, end: int, longer_than
 
 
 def _in_all(outages: list[Outages]) -> Outages:
-    """Where every source is in an outage; slivers between the outage of one and that of another are none."""
+    """Common outages of all sources, slivers excluded."""
     threshold_s = min(o.longer_than_s for o in outages)
     spans = reduce(metrics.common, (o.spans for o in outages))
     return Outages(threshold_s, [(a, b) for a, b in spans if b - a > 1e9 * threshold_s])
@@ -192,10 +188,10 @@ def evaluate(
     without_odometry: Path | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Evaluation:
-    """Evaluate /landfix/odometry of a log against a truth in it, or without one.
+    """Evaluate /landfix/odometry against a truth in the log, or without one.
 
-    truth_topic: Odometry, PoseWithCovarianceStamped, PoseStamped or NavSatFix; burn_in_s: not compared after the first estimate;
-    outage_s: see find_outages; without_odometry: the same flight replayed without odometry. Raises LogError.
+    truth_topic: Odometry, PoseWithCovarianceStamped, PoseStamped or NavSatFix; burn_in_s: not compared; outage_s: see
+    find_outages; without_odometry: the same flight without. Raises LogError.
     """
     collected = read(path, truth_topic, progress, most=MOST)
     without = read(without_odometry, truth_topic, most=MOST).estimate if without_odometry else None
@@ -256,7 +252,6 @@ def assess(
 
 
 def _with_jumps(outages: list[tuple[int, int]], estimate: Trajectory) -> list[tuple[int, int]]:
-    """Outages and the two estimates behind each: what is interpolated over the jump at its end is not aided yet."""
     step = int(np.median(np.diff(estimate.t_ns))) if len(estimate) > 1 else 0
     return [(start, end + 2 * step) for start, end in outages]
 
@@ -266,7 +261,6 @@ def _norm(v: Iterable[float]) -> float:
 
 
 def _count_far(truth: Trajectory, estimate: Trajectory) -> int:
-    """Estimates with no truth near them: farther away than the truth's usual step (and 10 ms)."""
     if not len(truth):
         return len(estimate)
     step = int(np.median(np.diff(truth.t_ns))) if len(truth) > 1 else 0
@@ -275,7 +269,6 @@ def _count_far(truth: Trajectory, estimate: Trajectory) -> int:
 
 
 def _mode_shares(health: tuple[HealthPoint, ...], end_ns: int) -> dict[str, float]:
-    """Share of time in each mode, from one Health to the next."""
     total: Counter[str] = Counter()
     for here, until in zip(health, [*(h.t_ns for h in health), end_ns][1:], strict=True):
         total[here.mode] += max(0, until - here.t_ns)
@@ -341,7 +334,7 @@ def _consistency(c: Comparison, aided: Mask) -> ConsistencySummary:
 def _outage(
     source: str, span: tuple[int, int], comparison: Comparison, start: int, steps: Times, beside: Comparison | None
 ) -> Outage:
-    """steps: when increments of odometry were fused; beside: the flight without them."""
+    """steps: fusion times of odometry; beside: the flight without it."""
     without = beside.p_error[metrics.within(beside.t_ns, [span])] if beside is not None else np.empty((0, 3))
     c = comparison[metrics.within(comparison.t_ns, [span])]
     attitude = np.rad2deg(np.linalg.norm(c.theta_error[c.has_attitude], axis=1))
@@ -369,7 +362,7 @@ def _aid_summaries(aids: tuple[AidStatus, ...]) -> tuple[AidSummary, ...]:
 
 
 def _aid_summary(topic: str, kind: str, group: list[AidStatus]) -> AidSummary:
-    """NIS is of the fused: of a gated one it is no statistic of the filter."""
+    """NIS of fused measurements only."""
     fused = [a for a in group if a.reason is Reason.FUSED and a.innovation]
     squares, dof = 0.0, 0
     for size in {len(a.innovation) for a in fused}:
@@ -388,7 +381,7 @@ def _aid_summary(topic: str, kind: str, group: list[AidStatus]) -> AidSummary:
 
 
 def _latency(collected: Collected) -> dict[str, Percentiles]:
-    """Arrival - validity of the estimate, s: what a listener to /landfix/odometry sees."""
+    """Arrival - validity of the estimate, s."""
     late = _percentiles(((collected.estimate.arrived_ns - collected.estimate.t_ns) * 1e-9).astype(float))
     return {"/landfix/odometry": late} if late else {}
 
@@ -401,7 +394,6 @@ def _percentiles(values: Array | list[float]) -> Percentiles | None:
 
 
 def _notes(collected: Collected, c: Comparison) -> tuple[str, ...]:
-    """What a reader of the figures must know."""
     estimate = collected.estimate
     finite = np.isfinite(estimate.p).all(axis=1)
     broken, level = np.count_nonzero(~finite), np.count_nonzero(finite & ~estimate.has_attitude)

@@ -1,4 +1,4 @@
-"""Protection levels against true errors: the regions of a Stanford plot (Walter, Hansen and Enge, ION AM 1999).
+"""Protection levels against true errors: regions of a Stanford plot (Walter, Hansen and Enge 1999).
 
     error e, protection level PL, alert limit AL        PL <= AL          PL > AL
     e <= PL                                             nominal           unavailable
@@ -22,7 +22,7 @@ _HOLDS_NS: Final = 1_000_000_000
 
 
 class Regions(msgspec.Struct, frozen=True):
-    """Counts along one direction; exceeded: errors above the levels at each of the fixed risks, then at the configured one."""
+    """Counts along a direction; exceeded: errors above levels at the fixed risks, then the configured one."""
 
     compared: int
     nominal: int
@@ -39,7 +39,7 @@ class Regions(msgspec.Struct, frozen=True):
 
 
 class IntegritySummary(msgspec.Struct, frozen=True):
-    """Of a log. states: share of each; limits_m: horizontal and vertical; horizontal, vertical: None without a truth."""
+    """states: shares; limits_m: horizontal, vertical; horizontal, vertical: None without truth."""
 
     evaluations: int
     hours: float
@@ -52,7 +52,7 @@ class IntegritySummary(msgspec.Struct, frozen=True):
 
 
 class Compared(NamedTuple):
-    """Of the m levels with a truth: row of the level, horizontal and vertical error [m], each (m,)."""
+    """m levels with a truth: row, horizontal and vertical error [m], each (m,)."""
 
     row: Times
     horizontal: Array
@@ -60,7 +60,7 @@ class Compared(NamedTuple):
 
 
 def against_truth(levels: Sequence[Integrity], t_ns: Times, p_error: Array) -> Compared:
-    """t_ns (n,), p_error (n, 3): stamps and errors of position, ENU or NED."""
+    """t_ns (n,), p_error (n, 3), ENU or NED."""
     horizontal, vertical = np.hypot(p_error[:, 0], p_error[:, 1]), np.abs(p_error[:, 2])
     stamps = np.array([i.t_ns for i in levels], np.int64)
     row = np.searchsorted(stamps, t_ns, side="right") - 1
@@ -73,7 +73,7 @@ def against_truth(levels: Sequence[Integrity], t_ns: Times, p_error: Array) -> C
 
 
 def regions(error: Array, level: Array, limit_m: float, others: Sequence[Array]) -> Regions:
-    """Counts of errors (n,) against levels (n,) and limit; others: levels at other risks, each (n,)."""
+    """Counts of errors (n,), levels (n,), limit; others: levels at other risks, (n,)."""
     within = level <= limit_m
     above = error > level
     return Regions(
@@ -88,7 +88,7 @@ def regions(error: Array, level: Array, limit_m: float, others: Sequence[Array])
 
 
 def summarise(levels: Sequence[Integrity], t_ns: Times, p_error: Array) -> IntegritySummary | None:
-    """None of a log without protection levels; errors as in against_truth, none where there is no truth."""
+    """None without protection levels; errors as against_truth."""
     if not levels:
         return None
     last, found = levels[-1], against_truth(levels, t_ns, p_error)

@@ -1,10 +1,9 @@
-"""Accuracy and consistency as pure functions on arrays.
+"""Accuracy and consistency of arrays of associated rows.
 
-Rows are instants, associated already (trajectory.py). Positions (n, 3) m, quaternions (n, 4) wxyz body -> map, errors true minus
-estimated, covariances (n, k, k). No row gives nan.
+Positions (n, 3) m, quaternions (n, 4) wxyz body -> map, errors true minus estimated, covariances (n, k, k); nan without rows.
 
-Sources: Umeyama 1991 (TPAMI 13-4); Sturm et al. 2012 (IROS); Zhang & Scaramuzza 2018 (IROS); Bar-Shalom, Li & Kirubarajan 2001
-(section 5.4); Geyer 1992 (Statistical Science 7-4).
+Umeyama 1991 (TPAMI 13-4); Sturm et al. 2012 (IROS); Zhang & Scaramuzza 2018 (IROS); Bar-Shalom, Li & Kirubarajan 2001 (section
+5.4); Geyer 1992 (Statistical Science 7-4).
 """
 
 from dataclasses import dataclass
@@ -25,7 +24,7 @@ AlignmentKind: TypeAlias = Literal["none", "yaw", "se3", "sim3"]
 
 
 class Stats(msgspec.Struct, frozen=True):
-    """Of n magnitudes: root mean square, mean, median, maximum; nan where n = 0."""
+    """RMS, mean, median, maximum of n magnitudes; nan for n = 0."""
 
     rmse: float
     mean: float
@@ -35,7 +34,7 @@ class Stats(msgspec.Struct, frozen=True):
 
 
 def stats(magnitude: Array) -> Stats:
-    """rmse = sqrt(sum |e_i|^2 / n), and its companions, of (n,) magnitudes or (n, k) vectors."""
+    """rmse = sqrt(sum |e_i|^2 / n) and others, of (n,) magnitudes or (n, k) vectors."""
     e: Array = np.linalg.norm(magnitude, axis=1) if magnitude.ndim == 2 else np.abs(magnitude)
     if not len(e):
         return Stats(np.nan, np.nan, np.nan, np.nan, 0)
@@ -92,26 +91,24 @@ def align(p_est: Array, p_true: Array, kind: AlignmentKind = "se3") -> Alignment
 
 
 def ate(p_est: Array, p_true: Array, kind: AlignmentKind = "none") -> Stats:
-    """Absolute trajectory error: stats of | p_true_i - S p_est_i |, S by align(kind), in m (Sturm et al. 2012, eq. 4-5)."""
+    """Absolute trajectory error |p_true_i - S p_est_i|, S by align(kind), m (Sturm et al. 2012, eq. 4-5)."""
     return stats(p_true - align(p_est, p_true, kind).positions(p_est))
 
 
 def attitude_error(q_est_wxyz: Array, q_true_wxyz: Array) -> Array:
-    """dtheta = log(R_true R_est'), (n, 3) rad about the axes of map, as the wire's covariances have it."""
+    """dtheta = log(R_true R_est'), (n, 3) rad about map axes."""
     error: Array = (rotation(q_true_wxyz) * rotation(q_est_wxyz).inv()).as_rotvec()
     return error
 
 
 def path_length(p: Array) -> Array:
-    """Distance travelled up to each row, (n,) m, from 0."""
+    """Distance travelled to each row, (n,) m."""
     steps = np.linalg.norm(np.diff(p, axis=0), axis=1)
     return np.concatenate([np.zeros(min(1, len(p))), np.cumsum(steps)])
 
 
 def pairs_apart(coordinate: Array, delta: float, tolerance: float) -> tuple[Indices, Indices]:
-    """For every i the row j > i nearest to coordinate_i + delta within the tolerance; coordinate: (n,) not decreasing (time or
-    length).
-    """
+    """For i the row j > i nearest to coordinate_i + delta within tolerance; coordinate: (n,) not decreasing."""
     n = len(coordinate)
     if n < 2:
         return np.empty(0, np.intp), np.empty(0, np.intp)
@@ -139,7 +136,7 @@ def rpe(p_est: Array, q_est: Array, p_true: Array, q_true: Array, pairs: tuple[I
 
 
 class Drift(msgspec.Struct, frozen=True):
-    """Position error within one span [m]: RMSE, maximum, at its last row, and that as percent of the true distance."""
+    """Position error in a span [m]: RMSE, maximum, last, and that in percent of the distance."""
 
     rmse_m: float
     max_m: float
@@ -149,7 +146,7 @@ class Drift(msgspec.Struct, frozen=True):
 
 
 def drift(p_error: Array, p_true: Array) -> Drift:
-    """Drift of one span from its rows; end_percent = 100 |e_end| / distance (nan at a standstill or without rows)."""
+    """Drift of a span; end_percent = 100 |e_end| / distance, nan at a standstill."""
     s = stats(p_error)
     end = float(np.linalg.norm(p_error[-1])) if s.n else np.nan
     distance = float(path_length(p_true)[-1]) if s.n else 0.0
@@ -157,7 +154,7 @@ def drift(p_error: Array, p_true: Array) -> Drift:
 
 
 def nees(error: Array, covariance: Array) -> Array:
-    """e' P^-1 e, (n,); inf where P is not finite, symmetric (1e-6), positive definite (Bar-Shalom et al. 2001, eq. 5.4.2-2)."""
+    """e' P^-1 e, (n,); inf unless P is finite, symmetric (1e-6), positive definite (Bar-Shalom et al. 2001, eq. 5.4.2-2)."""
     values = np.full(len(error), np.inf)
     sound = np.isfinite(covariance).all(axis=(1, 2)) & np.isfinite(error).all(axis=1)
     sound = np.asarray(sound & np.isclose(covariance, covariance.mT, rtol=1e-6, atol=1e-12).all(axis=(1, 2)))
@@ -177,13 +174,13 @@ def _definite(covariance: Array) -> Mask:
 
 
 def chi2_band(dof: float, probability: float = 0.95) -> tuple[float, float]:
-    """The two-sided interval that holds a chi-square variable of dof with the probability given."""
+    """Two-sided chi-square interval of dof with the given probability."""
     tail = 0.5 * (1.0 - probability)
     return float(chi2.ppf(tail, dof)), float(chi2.ppf(1.0 - tail, dof))
 
 
 def effective_samples(x: Array) -> float:
-    """n_eff = n / (1 + 2 sum_k rho_k), 1..n: independent samples that a correlated series is worth.
+    """n_eff = n / (1 + 2 sum_k rho_k), 1..n.
 
     rho_k: autocorrelation, summed until a pair rho_2m + rho_2m+1 is not positive (Geyer 1992, section 3.3).
     """
@@ -204,8 +201,7 @@ def effective_samples(x: Array) -> float:
 class Consistency(msgspec.Struct, frozen=True):
     """Consistency of a covariance; mean = NEES / dof.
 
-    band: 95 % interval of the mean for n_effective samples; inside: share within the sample's own interval; covered: within the
-    95 % ellipsoid.
+    band: 95 % interval of the mean; inside: share within the sample's interval; covered: within the 95 % ellipsoid.
     """
 
     dof: int
@@ -218,7 +214,7 @@ class Consistency(msgspec.Struct, frozen=True):
 
     @property
     def consistent(self) -> bool:
-        """The mean lies in its band: errors are neither larger nor smaller than reported."""
+        """Whether the mean lies in its band."""
         return self.band[0] <= self.mean <= self.band[1]
 
 
@@ -247,13 +243,13 @@ def consistency(values: Array, dof: int, n_effective: float | None = None) -> Co
 
 
 def nis(innovation: Array, sigma: Array) -> Array:
-    """sum_i (nu_i / s_i)^2, (n,) from (n, k): nu' S^-1 nu where S is diagonal (Bar-Shalom et al. 2001, eq. 5.4.2-9)."""
+    """sum_i (nu_i / s_i)^2, (n,) from (n, k): diagonal S (Bar-Shalom et al. 2001, eq. 5.4.2-9)."""
     total: Array = ((innovation / sigma) ** 2).sum(axis=1)
     return total
 
 
 def waits(valid_ns: Times, arrived_ns: Times) -> Times:
-    """(m, 2): from the validity of the newest information to the arrival of newer; valid_ns, arrived_ns: (n,) in any order."""
+    """(m, 2): validity of the newest information to arrival of newer; (n,) in any order."""
     pairs = []
     newest: int | None = None
     for k in np.lexsort((valid_ns, arrived_ns)):
@@ -266,7 +262,7 @@ def waits(valid_ns: Times, arrived_ns: Times) -> Times:
 
 
 def gaps(valid_ns: Times, arrived_ns: Times, end_ns: int, longer_than_ns: int) -> list[tuple[int, int]]:
-    """Waits longer than longer_than_ns up to end_ns, without overlap: newer information ends a span."""
+    """Waits longer than longer_than_ns up to end_ns, without overlap."""
     if not len(valid_ns):
         return []
     last = (int(valid_ns.max()), end_ns)
@@ -281,13 +277,13 @@ def gaps(valid_ns: Times, arrived_ns: Times, end_ns: int, longer_than_ns: int) -
 
 
 def common(first: list[tuple[int, int]], second: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Intersection of two sets of spans, each in order and without overlap."""
+    """Intersection of two ordered sets of spans."""
     pairs = ((max(a, c), min(b, d)) for a, b in first for c, d in second)
     return [(start, end) for start, end in pairs if start < end]
 
 
 def within(t_ns: Times, spans: list[tuple[int, int]]) -> Mask:
-    """Which stamps lie strictly inside one of the spans, (n,) bool."""
+    """Stamps strictly inside a span, (n,) bool."""
     mask = np.zeros(len(t_ns), bool)
     for start, end in spans:
         mask |= (t_ns > start) & (t_ns < end)

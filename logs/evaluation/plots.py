@@ -1,6 +1,6 @@
-"""Plots of a flight: from above, errors in their bands, horizontal error against the 95 % radius.
+"""Plots of a flight: from above, errors in bands, horizontal error and 95 % radius.
 
-Each function returns a matplotlib Figure (no pyplot). Time in s from the first estimate; colours of Okabe & Ito.
+matplotlib Figures (no pyplot); time in s from the first estimate; colours of Okabe & Ito.
 """
 
 from typing import Any, Final
@@ -28,7 +28,7 @@ Spans = list[tuple[int, int]]
 
 
 def from_above(collected: Collected, outages: Spans) -> Figure:
-    """The flight in the plane of the map: truth, estimate with 95 % ellipses, fixes used and not used, outages."""
+    """The flight on the map plane: truth, estimate, 95 % ellipses, fixes, outages."""
     figure = _figure(8.0, 8.0)
     axes = figure.add_subplot()
     draw_from_above(axes, collected, outages)
@@ -37,7 +37,7 @@ def from_above(collected: Collected, outages: Spans) -> Figure:
 
 
 def errors(collected: Collected, outages: Spans) -> Figure:
-    """Error of each axis, true minus estimated, with its 95 % band: position, and attitude where the truth has it."""
+    """Axis errors in 95 % bands: position, and attitude where known."""
     comparison = compare(collected.estimate, collected.truth)
     columns = 2 if comparison.has_attitude.any() else 1
     figure = _figure(6.5 * columns + 0.5, 7.5)
@@ -59,7 +59,7 @@ def errors(collected: Collected, outages: Spans) -> Figure:
 
 
 def horizontal_error(collected: Collected, outages: Spans) -> Figure:
-    """Horizontal error and the reported 95 % radius, on a logarithmic scale."""
+    """Horizontal error and 95 % radius, logarithmic."""
     figure = _figure(9.0, 4.5)
     axes = figure.add_subplot()
     draw_horizontal_error(axes, collected, outages)
@@ -68,7 +68,7 @@ def horizontal_error(collected: Collected, outages: Spans) -> Figure:
 
 
 def overview(collected: Collected, outages: Spans) -> Figure:
-    """One picture of a flight: from above, and the horizontal error below the reported radius (or that alone)."""
+    """From above, and horizontal error (or radius alone)."""
     figure = _figure(13.0, 6.0)
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.2))
     draw_from_above(left, collected, outages)
@@ -104,7 +104,7 @@ def draw_from_above(axes: Axes, collected: Collected, outages: Spans) -> None:
 
 
 def draw_horizontal_error(axes: Axes, collected: Collected, outages: Spans) -> None:
-    """The picture of horizontal_error on given axes; without a truth the radius alone."""
+    """horizontal_error on given axes."""
     c, start = compare(collected.estimate, collected.truth), int(collected.estimate.t_ns[0])
     reported = collected.estimate if not len(c) else c.estimate
     t, few = _seconds(reported.t_ns, start), _thinned(len(reported))
@@ -134,7 +134,6 @@ def draw_horizontal_error(axes: Axes, collected: Collected, outages: Spans) -> N
 
 
 def _draw_error(axes: Axes, c: Comparison, error: Array, sigma: Array, collected: Collected, outages: Spans) -> None:
-    """One error over time in its 95 % band."""
     start, few = int(collected.estimate.t_ns[0]), _thinned(len(c))
     t = _seconds(c.t_ns, start)[few]
     t_band, band = _broken_at_holes(t, _SIGMAS_95 * sigma[few])
@@ -148,7 +147,7 @@ def _draw_error(axes: Axes, c: Comparison, error: Array, sigma: Array, collected
 
 
 def _compress_outages(axes: Axes, sigma: Array, aided: Array) -> None:
-    """Beyond the usual band the axis is logarithmic, where outages are so much larger that they would hide the rest."""
+    """Logarithmic beyond the usual band, where outages would hide the rest."""
     usual = float(np.median(aided)) if len(aided) else np.inf
     if np.nanmax(sigma, initial=0.0) > 12.0 * usual > 0.0:
         linear = 10.0 ** np.ceil(np.log10(_SIGMAS_95 * usual))
@@ -158,7 +157,6 @@ def _compress_outages(axes: Axes, sigma: Array, aided: Array) -> None:
 
 
 def _draw_events(axes: Axes, collected: Collected, outages: Spans) -> None:
-    """Outages as shades, fixes as ticks along the lower edge (used) and crosses on the upper one itself (not used)."""
     start, edge = int(collected.estimate.t_ns[0]), axes.get_xaxis_transform()
     for k, span in enumerate(outages):
         label = None if k else "outage"
@@ -183,14 +181,12 @@ def _draw_fixes_from_above(axes: Axes, collected: Collected) -> None:
 
 
 def _ellipse_rows(t_ns: Times, outages: Spans) -> list[int]:
-    """Rows that get an ellipse: even in time, and at the end of each outage."""
     even = np.linspace(int(t_ns[0]), int(t_ns[-1]), _ELLIPSES).astype(np.int64)
     wanted = np.concatenate([even, [end - 1 for _, end in outages]]).astype(np.int64)
     return sorted({int(k) for k in np.clip(np.searchsorted(t_ns, wanted, side="right") - 1, 0, len(t_ns) - 1)})
 
 
 def _ellipse(centre: Array, covariance: Array) -> Ellipse:
-    """The 95 % ellipse of a plane error."""
     values, vectors = np.linalg.eigh(np.where(np.isfinite(covariance), covariance, 0.0))
     width, height = 2.0 * _SIGMAS_95_PLANE * np.sqrt(np.clip(values, 0.0, None))
     angle = float(np.rad2deg(np.arctan2(vectors[1, 0], vectors[0, 0])))
@@ -202,7 +198,7 @@ def _line(axes: Axes, x: Array, y: Array, color: str, label: str, **style: Any) 
 
 
 def _broken_at_holes(t: Array, y: Array) -> tuple[Array, Array]:
-    """The line with a nan wherever time leaps (over 20 usual steps and 0.5 s): nothing is drawn where nothing is known."""
+    """The line with nan at time gaps (20 usual steps and 0.5 s)."""
     if len(t) < 2:
         return t, y
     step = np.diff(t)
@@ -220,7 +216,7 @@ def _thinned(n: int) -> Indices:
 
 
 def _set_limits(axes: Axes, p: Array) -> float:
-    """A square around finite points and a margin: far false fixes and huge ellipses do not shrink the flight. Half its side."""
+    """A square around finite points; far false fixes do not count; half its side."""
     p = p[np.isfinite(p).all(axis=1)]
     low, high = p.min(axis=0), p.max(axis=0)
     middle, half = 0.5 * (low + high), 0.55 * float((high - low).max()) + 0.5
@@ -234,7 +230,6 @@ def _figure(width: float, height: float) -> Figure:
 
 
 def _legend_below(figure: Figure, *axes: Axes) -> None:
-    """One legend for all, outside the data; what several axes show is named once."""
     named: dict[str, Any] = {}
     for a in axes:
         for handle, label in zip(*a.get_legend_handles_labels(), strict=True):

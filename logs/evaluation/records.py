@@ -1,4 +1,4 @@
-"""The results of an evaluation: records that become JSON as they are (nan as null)."""
+"""Results of an evaluation as JSON-ready records (nan: null)."""
 
 import msgspec
 
@@ -7,7 +7,7 @@ from logs.evaluation.metrics import Consistency, Drift, Stats
 
 
 class RelativeError(msgspec.Struct, frozen=True):
-    """Relative pose error over a time or a distance ("10 s", "100 m")."""
+    """Relative pose error over a time or distance ("10 s", "100 m")."""
 
     over: str
     translation_m: Stats
@@ -15,9 +15,9 @@ class RelativeError(msgspec.Struct, frozen=True):
 
 
 class Accuracy(msgspec.Struct, frozen=True):
-    """Errors against the truth; position_m: ATE without alignment, *_aligned_m: after yaw and shift, rigid motion, similarity.
+    """Errors against the truth; position_m: unaligned ATE, *_aligned_m: yaw and shift, rigid, similarity.
 
-    aided_*: outside outages; tilt_deg, heading_deg: about the horizontal axes and the vertical; n = 0: not in the truth.
+    aided_*: outside outages; tilt_deg, heading_deg; n = 0: not in the truth.
     """
 
     position_m: Stats
@@ -37,7 +37,7 @@ class Accuracy(msgspec.Struct, frozen=True):
 
 
 class ConsistencySummary(msgspec.Struct, frozen=True):
-    """Are the covariances consistent? NEES of each part; share of time inside the 95 % horizontal radius, and that radius."""
+    """NEES of each part; share inside the 95 % horizontal radius, and that radius."""
 
     position: Consistency
     position_aided: Consistency
@@ -53,8 +53,8 @@ class ConsistencySummary(msgspec.Struct, frozen=True):
 class Outage(msgspec.Struct, frozen=True):
     """A span without absolute information of a source or "all"; start_s from the first estimate.
 
-    None without a truth: drift and what follows; nees_position: mean of NEES / 3; radius95_end_m: at the end; increments: of
-    odometry, fused; without_odometry_m: error at the end without odometry.
+    Without truth drift and the following are None; nees_position: mean NEES / 3; radius95_end_m; increments: fused odometry;
+    without_odometry_m: final error without.
     """
 
     source: str
@@ -79,10 +79,9 @@ class Percentiles(msgspec.Struct, frozen=True):
 
 
 class AidSummary(msgspec.Struct, frozen=True):
-    """Decisions on one source's measurements of one kind.
+    """Decisions on a source's measurements of a kind.
 
-    reasons: reason -> count, most frequent first; revised: changed later; nis: mean squared standardised innovation of the fused;
-    test_ratio: of the fused, 1 is the gate.
+    reasons: counts, most frequent first; revised: changed later; nis: of the fused; test_ratio: of the fused, 1 is the gate.
     """
 
     topic: str
@@ -95,7 +94,7 @@ class AidSummary(msgspec.Struct, frozen=True):
 
 
 class ResetRow(msgspec.Struct, frozen=True):
-    """A jump of the estimate, t_s from the first one."""
+    """A jump of the estimate, t_s from the first."""
 
     t_s: float
     counter: int
@@ -105,8 +104,8 @@ class ResetRow(msgspec.Struct, frozen=True):
 
 
 class Evaluation(msgspec.Struct, frozen=True):
-    """distance_m: along the truth, else the estimate; compared, without_estimate: truth samples; without_truth: estimates;
-    modes: share of time in each.
+    """distance_m: along truth or estimate; compared, without_estimate: truth samples; without_truth: estimates; modes: shares of
+    time.
     """
 
     log: str

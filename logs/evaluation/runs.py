@@ -1,4 +1,4 @@
-"""Several evaluations side by side, a row each: for a terminal, as Markdown, as CSV.
+"""Evaluations side by side: terminal, Markdown, CSV.
 
 print_runs(compare_runs([evaluate(a), evaluate(b)]))
 """
@@ -23,9 +23,7 @@ from models.messages import Reason
 
 
 class Run(msgspec.Struct, frozen=True):
-    """One run in a row, None: not in its log; outage_end_m: RMS at the ends of outages; nees_*: mean / dof; inside95: share of
-    time.
-    """
+    """One run, None: not in its log; outage_end_m: RMS; nees_*: mean / dof; inside95: share of time."""
 
     run: str
     duration_s: float
@@ -89,7 +87,7 @@ _MEDIAN_FROM: Final = 3  # runs
 
 
 def compare_runs(evaluations: Sequence[Evaluation]) -> list[Run]:
-    """A row for each, in order, named by what distinguishes their logs."""
+    """A row each, named by what distinguishes the logs."""
     return [_run(name, e) for name, e in zip(_names([e.log for e in evaluations]), evaluations, strict=True)]
 
 
@@ -121,7 +119,7 @@ def _run(name: str, e: Evaluation) -> Run:
 
 
 def print_runs(runs: Sequence[Run], console: Console | None = None) -> None:
-    """Print the table; the best of each quantity stands out."""
+    """Print the table, the best of each quantity highlighted."""
     few = len(runs) <= _SIDE_BY_SIDE
     fields, rows, best = _cells(runs, Run.__struct_fields__ if few else _CORE)
     lines = [[_TITLES[f][few] for f in fields], *rows]
@@ -139,7 +137,7 @@ def print_runs(runs: Sequence[Run], console: Console | None = None) -> None:
 
 
 def markdown(runs: Sequence[Run]) -> str:
-    """The table in Markdown, the best of each column in bold."""
+    """Markdown table, best values bold."""
     fields, rows, best = _cells(runs, Run.__struct_fields__)
     lines = [[_TITLES[f][0] for f in fields], ["---"] + ["---:"] * (len(fields) - 1)]
     for row, cells in enumerate(rows):
@@ -148,7 +146,7 @@ def markdown(runs: Sequence[Run]) -> str:
 
 
 def comma_separated(runs: Sequence[Run]) -> str:
-    """Names of the fields and all digits; empty where a log has none."""
+    """Field names and all digits; empty for None."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(Run.__struct_fields__)
@@ -157,7 +155,7 @@ def comma_separated(runs: Sequence[Run]) -> str:
 
 
 def _cells(runs: Sequence[Run], wanted: Sequence[str]) -> tuple[list[str], list[list[str]], set[tuple[int, int]]]:
-    """Fields that some run fills, rows as text with the medians last from three runs on, and the best cell of each column."""
+    """Filled fields, rows as text (medians last from three runs), best cells."""
     fields = [f for f in wanted if any(getattr(run, f) is not None for run in runs)]
     rows = [[_cell(f, getattr(run, f)) for f in fields] for run in runs]
     if len(runs) >= _MEDIAN_FROM:
@@ -178,7 +176,6 @@ def _median(runs: Sequence[Run], field: str) -> float | None:
 
 
 def _best(runs: Sequence[Run], field: str) -> int | None:
-    """The row of the best of several that differ."""
     badness = {row: _BADNESS[field](x) for row, run in enumerate(runs) if (x := getattr(run, field)) is not None}
     return min(badness, key=lambda row: badness[row]) if len(set(badness.values())) > 1 else None
 
@@ -188,7 +185,7 @@ def _finite(value: float) -> float | None:
 
 
 def _names(paths: Sequence[str]) -> list[str]:
-    """File names where they differ, else paths from the folder that all are in; without .mcap."""
+    """File names where distinct, else relative paths; without .mcap."""
     whole = [Path(os.path.realpath(path.removesuffix(".mcap"))) for path in paths]
     if len({path.name for path in whole}) == len(paths):
         return [path.name for path in whole]

@@ -1,4 +1,4 @@
-"""An Evaluation as tables: for a terminal here, for a page in logs/report/write.py."""
+"""An Evaluation as tables for terminal and page."""
 
 from collections.abc import Sequence
 from textwrap import wrap
@@ -37,7 +37,7 @@ def print_table(evaluation: Evaluation, console: Console | None = None) -> None:
 
 
 def _narrow(table: Rows) -> Rows:
-    """Measurements for 80 columns: what was not fused stands under its source."""
+    """Measurements for 80 columns, refusals below their source."""
     title, (source, kind, *numbers), rows = table
     fused, _, *others = numbers
     return title, (f"{source}, {kind}", fused, *others), [
@@ -46,7 +46,6 @@ def _narrow(table: Rows) -> Rows:
 
 
 def _table(title: str, columns: tuple[str, ...], rows: Sequence[Sequence[str]]) -> Table:
-    """A table whose first column is text and whose others are numbers."""
     table = Table(
         title=title, title_justify="left", title_style="bold", header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0)
     )
@@ -58,7 +57,7 @@ def _table(title: str, columns: tuple[str, ...], rows: Sequence[Sequence[str]]) 
 
 
 def number(x: float | None, digits: int = 3) -> str:
-    """Three significant digits, "-" for what is not known."""
+    """Three significant digits, "-" for unknown."""
     if x is None or x != x:  # noqa: PLR0124  (nan)
         return "-"
     return f"{x:.{digits}g}" if abs(x) < 1000 else f"{x:.0f}"
@@ -125,7 +124,7 @@ def consistency(h: ConsistencySummary) -> Rows:
 
 
 def integrity(i: IntegritySummary) -> Rows:
-    """Protection levels against errors, a column for horizontal and vertical; states. Without limits there are fewer rows."""
+    """Protection levels against errors, horizontal and vertical; states."""
     is_judged = any(limit is not None for limit in i.limits_m)
     sides = zip(("horizontal", "vertical"), (i.horizontal, i.vertical), i.limits_m, strict=True)
     columns = {side: _against(r, limit, i.risks_per_hour) for side, r, limit in sides if r is not None}
@@ -161,7 +160,7 @@ def outages(e: Evaluation) -> Rows:
 
 
 def odometry(e: Evaluation) -> Rows:
-    """Drift in the outages in which there was odometry, and without it."""
+    """Drift in outages with odometry, and without it."""
     rows = [
         (o.source, f"{o.start_s:.1f}", f"{o.duration_s:.1f}", str(o.increments), number(o.drift.distance_m),
          number(o.drift.end_m), number(o.radius95_end_m), number(o.without_odometry_m))
@@ -173,7 +172,6 @@ def odometry(e: Evaluation) -> Rows:
 
 
 def _thresholds(e: Evaluation) -> str:
-    """2.0 s (all), 2.0 s (/gnss), 9.3 s (/landfix/fix)."""
     return ", ".join(f"{s:.1f} s ({source})" for source, s in e.outage_thresholds_s.items())
 
 

@@ -1,4 +1,4 @@
-"""A trajectory as arrays, decoded from messages and associated with another by stamps; axes as on the wire (ENU, FLU)."""
+"""Trajectories as arrays, associated by stamps; axes of the wire (ENU, FLU)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -21,10 +21,10 @@ _ENCAPSULATION = 4  # bytes before the CDR body
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """n poses in the order of their stamps, each stamp once; nan: not given.
+    """n poses by distinct stamps; nan: not given.
 
-    t_ns, arrived_ns: (n,) int64; p: (n, 3) m; q_wxyz: (n, 4) body -> map; v_body: (n, 3) m/s; covariance: (n, 6, 6), x y z rx
-    ry rz; v_covariance: (n, 3, 3).
+    t_ns, arrived_ns: (n,) int64; p: (n, 3) m; q_wxyz: (n, 4) body -> map; v_body: (n, 3) m/s; covariance: (n, 6, 6), x y z rx ry
+    rz; v_covariance: (n, 3, 3).
     """
 
     t_ns: Times
@@ -43,7 +43,7 @@ class Trajectory:
 
     @property
     def v(self) -> Array:
-        """Velocity in the axes of map, (n, 3) m/s; nan where there is no attitude."""
+        """Velocity in map axes, (n, 3) m/s; nan without attitude."""
         v = np.full_like(self.v_body, np.nan)
         given = self.has_attitude
         if given.any():
@@ -57,7 +57,7 @@ class Trajectory:
 
 
 def decode(schema: str, data: Sequence[bytes], arrived_ns: Sequence[int]) -> Trajectory:
-    """The Trajectory of CDR messages of one of POSE_TYPES, from their last bytes; of several with one stamp the first counts."""
+    """Trajectory of CDR messages of POSE_TYPES, from their last bytes; the first of equal stamps counts."""
     size = 8 * _DOUBLES[schema]
     whole = [k for k, d in enumerate(data) if len(d) >= size + 2 * _ENCAPSULATION + 8]
     little = all(data[k][1] & 1 for k in whole)
@@ -67,7 +67,7 @@ def decode(schema: str, data: Sequence[bytes], arrived_ns: Sequence[int]) -> Tra
 
 
 def _stamps(data: Sequence[bytes]) -> Times:
-    """header.stamp of messages that begin with a std_msgs/Header, ns."""
+    """header.stamp of messages with a leading Header, ns."""
     little = all(d[1] & 1 for d in data)
     head = b"".join(d[_ENCAPSULATION : _ENCAPSULATION + 8] for d in data)
     sec_nanosec = np.frombuffer(head, [("sec", "<i4"), ("nanosec", "<u4")] if little else [("sec", ">i4"), ("nanosec", ">u4")])
@@ -76,10 +76,9 @@ def _stamps(data: Sequence[bytes]) -> Times:
 
 
 def from_rows(t_ns: Times, arrived_ns: Times, x: Array) -> Trajectory:
-    """The Trajectory of rows of 3 (position), 7 (pose), 43 (with covariance) or 85 (with twist) doubles, in any order.
+    """Trajectory of rows of 3 (position), 7 (pose), 43 (covariance) or 85 (twist) doubles.
 
-    Of several with one stamp the first counts. A quaternion (xyzw) of another length than 1, or with "not given" variance, is
-    none.
+    The first of equal stamps counts; quaternions (xyzw) not of length 1, or of "not given" variance, are dropped.
     """
     t_ns, first = np.unique(t_ns, return_index=True)
     x, arrived_ns = x[first], arrived_ns[first]
@@ -95,9 +94,7 @@ def from_rows(t_ns: Times, arrived_ns: Times, x: Array) -> Trajectory:
 
 
 def decode_geodetic(data: Sequence[bytes], arrived_ns: Sequence[int], origin: Origin) -> Trajectory:
-    """The Trajectory (position and covariance) of CDR NavSatFix messages with a fix, in map at the origin, from their last
-    bytes.
-    """
+    """Trajectory of NavSatFix CDR messages with a fix, in map, from their last bytes."""
     rows, stamps, arrivals = [], [], []
     for d, arrived in zip(data, arrived_ns, strict=True):
         start = _ENCAPSULATION + (len(d) - _ENCAPSULATION - 97) // 8 * 8  # doubles are aligned to 8
@@ -116,12 +113,12 @@ def decode_geodetic(data: Sequence[bytes], arrived_ns: Sequence[int], origin: Or
 
 
 def _navsat_status(d: bytes) -> int:
-    """Where the status byte of a NavSatFix stands: right behind the frame_id."""
+    """Status byte of a NavSatFix, behind the frame_id."""
     return _ENCAPSULATION + 12 + int(np.frombuffer(d, "<u4", 1, _ENCAPSULATION + 8)[0])
 
 
 def nearest(t_ns: Times, wanted_ns: Times, tolerance_ns: int) -> tuple[Indices, Mask]:
-    """The row of t_ns (sorted) nearest to each wanted stamp (the earlier of two), and whether it is within the tolerance."""
+    """Nearest row of sorted t_ns (earlier of two) per wanted stamp, and whether within tolerance."""
     if not len(t_ns):
         return np.zeros(len(wanted_ns), np.intp), np.zeros(len(wanted_ns), bool)
     right = np.clip(np.searchsorted(t_ns, wanted_ns), 0, len(t_ns) - 1)
@@ -131,7 +128,7 @@ def nearest(t_ns: Times, wanted_ns: Times, tolerance_ns: int) -> tuple[Indices, 
 
 
 def interpolate(trajectory: Trajectory, wanted_ns: Times, longest_ns: int) -> tuple[Trajectory, Mask]:
-    """The trajectory at wanted stamps, and which lie inside it and in no hole longer than longest_ns.
+    """The trajectory at wanted stamps, and which are inside and in no hole beyond longest_ns.
 
     p = (1 - w) p_a + w p_b,   R = R_a exp(w log(R_a' R_b)),   w = (t - t_a) / (t_b - t_a)
     """
@@ -159,7 +156,7 @@ def interpolate(trajectory: Trajectory, wanted_ns: Times, longest_ns: int) -> tu
 
 
 def _slerp(q_a: Array, q_b: Array, w: Array) -> Array:
-    """Quaternions w of the shorter way from q_a to q_b, (n, 4); nan where one of them is not given."""
+    """Interpolation w of the shorter way from q_a to q_b, (n, 4); nan propagates."""
     q = np.full_like(q_a, np.nan)
     given = np.isfinite(q_a).all(axis=1) & np.isfinite(q_b).all(axis=1)
     if given.any():

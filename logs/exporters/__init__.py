@@ -1,4 +1,4 @@
-"""A log's trajectory for other programs: CSV, TUM, KML, GPX and Parquet files, a pandas DataFrame.
+"""A trajectory as CSV, TUM, KML, GPX, Parquet, pandas DataFrame.
 
 Begin with `export` and `frame`. May import logs.evaluation, logs.store, logs.wire and models.
 """

@@ -1,6 +1,6 @@
-"""A trajectory as named columns with units; nan: not known.
+"""A trajectory as columns with units; nan: unknown.
 
-map is ENU, the quaternion's body FLU; roll, pitch, heading as in aviation: FRD in NED, heading clockwise from north.
+map is ENU, body FLU; roll, pitch, heading: FRD in NED, clockwise from north.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -29,7 +29,7 @@ _NOT_GIVEN_M2: Final = 9e4  # a variance from here on says "not given"
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """The rows of one topic. origin: (lat_deg, lon_deg, alt_m) of map; geoid_m: height of the geoid above the ellipsoid."""
+    """Rows of a topic. origin: (lat_deg, lon_deg, alt_m); geoid_m: geoid above the ellipsoid."""
 
     topic: str
     columns: Columns
@@ -44,7 +44,7 @@ class Table:
 
 
 def table(log: Path, topic: str = ODOMETRY_TOPIC, rate_hz: float = 0.0, progress: Callable[[float], None] | None = None) -> Table:
-    """The estimate of a log, or the poses of another topic; rate_hz: rows a second at most, 0: all. Raises LogError."""
+    """Estimate or other poses; rate_hz: at most, 0: all. Raises LogError."""
     if topic == ODOMETRY_TOPIC:
         collected = read(log, progress=progress)
         trajectory, health = collected.estimate, collected.health
@@ -61,7 +61,7 @@ def table(log: Path, topic: str = ODOMETRY_TOPIC, rate_hz: float = 0.0, progress
 
 
 def _geoid_m(attachments: Iterable[Attachment]) -> float:
-    """[map] geoid_m of the configuration that the log was made with; 0 where it gives none."""
+    """[map] geoid_m of the log's configuration, or 0."""
     texts = [a.data.decode(errors="replace") for a in attachments if a.name == CONFIG_ATTACHMENT]
     try:
         return float(toml_text.table(texts[-1])["map"]["geoid_m"])
@@ -70,7 +70,6 @@ def _geoid_m(attachments: Iterable[Attachment]) -> float:
 
 
 def _thinned(t_ns: Times, rate_hz: float) -> NDArray[np.bool_]:
-    """The first row of each 1 / rate_hz."""
     slot = np.floor((t_ns - t_ns[0]) * (1e-9 * rate_hz) + 1e-6).astype(np.int64)
     kept: NDArray[np.bool_] = np.concatenate([[True], np.diff(slot) > 0])
     return kept
@@ -97,14 +96,14 @@ def _columns(trajectory: Trajectory, origin: Origin | None, health: tuple[Health
 
 
 def _sigma(P: Array) -> Array:
-    """Standard deviations (n, 6) of x y z rx ry rz; nan where they are not given."""
+    """Sigmas (n, 6) of x y z rx ry rz; nan: not given."""
     variances = np.diagonal(P, axis1=1, axis2=2)
     given = (variances >= 0.0) & (variances < _NOT_GIVEN_M2)
     return np.sqrt(np.where(given, variances, np.nan))
 
 
 def _angles(trajectory: Trajectory) -> Array:
-    """Roll, pitch and heading [deg], (n, 3): of R_nb = C_ned,enu R_map,flu C_flu,frd = Rz(heading) Ry(pitch) Rx(roll)."""
+    """Roll, pitch, heading [deg], (n, 3): R_nb = C_ned,enu R_map,flu C_flu,frd = Rz(heading) Ry(pitch) Rx(roll)."""
     angles, given = np.full((len(trajectory), 3), np.nan), trajectory.has_attitude
     if given.any():
         R_nb = ENU_FROM_NED.T @ rotation(trajectory.q_wxyz[given]).as_matrix() @ FLU_FROM_FRD

@@ -1,4 +1,4 @@
-"""A log's trajectory as a file for other programs; the name decides the format.
+"""A trajectory file for other programs, format by name.
 
     csv       all columns, a header line, empty cells where a value is not known        spreadsheets, pandas, R
     parquet   the same columns with their types (needs pyarrow)                         pandas, DuckDB, Spark
@@ -36,7 +36,7 @@ class Format(StrEnum):
 
 
 class Exported(msgspec.Struct, frozen=True):
-    """What was written; left_out: rows that the format cannot hold, because position or attitude is not known."""
+    """What was written; left_out: rows without position or attitude."""
 
     out: str
     format: Format
@@ -67,9 +67,9 @@ def export(
     geoid_m: float | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Exported:
-    """Write the poses of a topic; rate_hz: at most, 0: all, None: all, two for kml and gpx. Raises LogError.
+    """Write a topic's poses; rate_hz: at most, 0: all, None: all, two for kml and gpx. Raises LogError.
 
-    geoid_m: height of the geoid above the ellipsoid, None: the log's; kml and gpx hold heights above the sea.
+    geoid_m: geoid above the ellipsoid, None: the log's; for heights in kml and gpx.
     """
     check_output(out, log)
     kind = kind or format_of(out)

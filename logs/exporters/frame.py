@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
 
 def estimate_frame(log: str | os.PathLike[str], topic: str = ODOMETRY_TOPIC, rate_hz: float = 0.0) -> "pd.DataFrame":
-    """One row for each estimate, indexed by UTC time of validity; columns as in logs.exporters.columns. Raises LogError.
+    """A row per estimate, indexed by UTC validity; columns: logs.exporters.columns. Raises LogError.
 
-    topic: other poses (/truth); rate_hz: rows a second, 0: all; attrs["origin"]: (lat_deg, lon_deg, alt_m) or None.
+    topic: other poses; rate_hz: 0: all; attrs["origin"]: (lat_deg, lon_deg, alt_m) or None.
     """
     try:
         import pandas as pd  # noqa: PLC0415  (an extra)

@@ -1,4 +1,4 @@
-"""The text formats: rows of a trajectory as blocks of lines, each with the share that is done."""
+"""Text formats: blocks of lines with the share done."""
 
 from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime, timedelta
@@ -23,13 +23,13 @@ _COLOURS: Final = {  # aabbggrr; dark enough for a map, light enough for an aeri
 
 
 def complete(rows: Table, *, attitude: bool) -> NDArray[np.bool_]:
-    """The rows whose position, and attitude, is known."""
+    """Rows with position (and attitude)."""
     names = ("east_m", "north_m", "up_m", *(("qw",) if attitude else ()))
     return np.asarray(np.isfinite([rows.columns[name] for name in names]).all(axis=0))
 
 
 def lines(kind: str, rows: Table, name: str, geoid_m: float) -> Blocks:
-    """The file of a format. name: of the track; geoid_m: height of the geoid above the ellipsoid."""
+    """File of a format; name: of the track; geoid_m: geoid above the ellipsoid."""
     writers: Mapping[str, Callable[[], Blocks]] = {
         "csv": lambda: _csv(rows.columns),
         "tum": lambda: _tum(rows.columns),
@@ -40,7 +40,6 @@ def lines(kind: str, rows: Table, name: str, geoid_m: float) -> Blocks:
 
 
 def _blocks(form: str, columns: list[NDArray[Any]], empty: str = "nan") -> Blocks:
-    """Rows by a %-format; `empty` stands for a number that is not known."""
     n = len(columns[0])
     for start in range(0, n, _ROWS):
         part = zip(*(column[start : start + _ROWS].tolist() for column in columns), strict=True)
@@ -114,6 +113,6 @@ def _gpx(columns: Columns, name: str, geoid_m: float) -> Blocks:
 
 
 def _time(t_ns: int) -> str:
-    """UTC to the millisecond, as XML Schema writes it: 2026-01-31T12:00:00.250Z."""
+    """UTC to the millisecond (XML Schema): 2026-01-31T12:00:00.250Z."""
     moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(milliseconds=t_ns // 1_000_000)
     return moment.strftime("%Y-%m-%dT%H:%M:%S.") + f"{moment.microsecond // 1000:03d}Z"

@@ -4,9 +4,8 @@
     ulog       PX4                               dataflash  ArduPilot, on board                    tlog   MAVLink, on the ground
     rosbag     ROS 2 and ROS 1 bags, copied message by message
 
-Each importer but rosbag is a function `read(source, options, progress) -> Recording` in a module of its own, loaded when it is
-needed.
-May import logs.store, logs.wire and models.
+Each importer but rosbag is a module with `read(source, options, progress) -> Recording`, loaded on demand. May import logs.store,
+logs.wire and models.
 """
 
 from collections.abc import Callable, Iterator
@@ -45,12 +44,12 @@ _READING = 0.3  # its share of the work
 
 
 def kind_of_name(name: str) -> str | None:
-    """The kind of a recording by the ending of its name; None: not one of another program (.mcap may be either)."""
+    """Kind by the name's ending; None: unknown (.mcap may be either)."""
     return _SUFFIXES.get(PurePath(name).suffix.lower())
 
 
 def kind_of(source: Path) -> str:
-    """The kind of a recording on disk: of a file by its name, of a folder by what it holds. Raises LogError."""
+    """Kind of a recording: file by name, folder by content. Raises LogError."""
     if not source.exists():
         raise LogError(f"{source}: no such file or folder")
     names = {path.name for path in source.iterdir()} if source.is_dir() else {source.name}
@@ -67,7 +66,7 @@ def kind_of(source: Path) -> str:
 
 
 def read(kind: str, source: Path, options: ImportOptions = DEFAULTS, progress: Progress | None = None) -> Recording:
-    """What is in a log of that kind (KINDS). Raises LogError."""
+    """Contents of a log of that kind (KINDS). Raises LogError."""
     if kind not in KINDS:
         raise LogError(f"no importer called {kind}; there are {', '.join(KINDS)}")
     if not source.exists():
@@ -80,7 +79,7 @@ def read(kind: str, source: Path, options: ImportOptions = DEFAULTS, progress: P
 def convert(
     kind: str, source: Path, out: Path, progress: Progress | None = None, options: ImportOptions = DEFAULTS
 ) -> ImportSummary:
-    """Write the log of that kind to `out`, and its configuration next to it (same name, .toml). Raises LogError."""
+    """Write the log to `out`, and its configuration (.toml). Raises LogError."""
     if out.exists() and source.exists() and out.samefile(source):
         raise LogError(f"{out}: the output would overwrite the input; name another file after -o")
     if kind == ROSBAG:
@@ -117,7 +116,7 @@ def convert(
 
 
 def _encoded(recording: Recording, source: Path, watch: Watch) -> Iterator[tuple[Encoded, int]]:
-    """Messages on the wire, and when they arrived; a number that no message can hold is damage of the log."""
+    """Wire messages with arrivals; unencodable numbers are damage."""
     with refusing(LogError, source):
         for message in recording:
             if not isinstance(message, Truth):
@@ -126,7 +125,6 @@ def _encoded(recording: Recording, source: Path, watch: Watch) -> Iterator[tuple
 
 
 def encode(message: Message) -> Encoded:
-    """A message of a Recording on the wire."""
     if isinstance(message, Truth):
         return encode_truth(message.t_ns, message.p_n, message.v_n, message.q_nb_wxyz)
     return encode_input(message)

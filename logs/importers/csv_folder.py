@@ -1,6 +1,5 @@
-"""A folder of CSV files (or .csv.gz): imu.csv, and those there are of gps, baro, mag, airspeed, vision and truth.
-
-Headers say what a column is (csv_table.py has all the names):
+"""A folder of CSV files (or .csv.gz): imu.csv, optional gps, baro, mag, airspeed, vision, truth. Columns by header
+(csv_table.py):
 
     imu.csv     t_s, gx_rad_s gy_rad_s gz_rad_s, ax_m_s2 ay_m_s2 az_m_s2          (gyro_x_deg_s, ax_g and the like are converted)
     gps.csv     t_s, lat_deg lon_deg alt_m, vn_m_s ve_m_s vd_m_s, status or fix_type, std_n_m std_e_m std_u_m std_v_m_s or hdop
@@ -10,7 +9,7 @@ Headers say what a column is (csv_table.py has all the names):
     truth.csv   t_s, pn_m pe_m pd_m (NED) or px_m py_m pz_m (ENU unless --world says), vn_m_s.. or vx_m_s.., qw qx qy qz
     vision.csv  as truth.csv: poses that may serve as fixes or as odometry, on request
 
-Every file may have arrived_s. Stamps since the log's start count from `t0_unix_ns` in checks.json, else from EPOCH_NS.
+Optional arrived_s; relative stamps count from `t0_unix_ns` in checks.json, else EPOCH_NS.
 """
 
 import json
@@ -75,7 +74,7 @@ class _Reader:
         self._t0_ns = t0_ns if isinstance(t0_ns, int) else None
 
     def table(self, *stems: str) -> Table | None:
-        """The table in the first of these files that is there."""
+        """The first existing table of these files."""
         path = self._path(*stems)
         if path is None:
             return None
@@ -103,7 +102,7 @@ def _checks(folder: Path) -> dict[str, object]:
 
 
 def arrived(table: Table) -> Times:
-    """When the rows arrived: as the table says, else in the order in which they stand."""
+    """Arrivals: given, else in file order."""
     if table.arrived_ns is None:
         return recording.arrival(table.t_ns)
     return np.where(table.arrived_ns >= 0, table.arrived_ns, table.t_ns)
@@ -149,7 +148,7 @@ def _gnss(reader: _Reader) -> list[Stream]:
 
 
 def _ned(table: Table, quantity: Quantity) -> Array | None:
-    """Columns n, e, d, or n, e, u with the sign changed."""
+    """Columns n, e, d, or n, e, u negated."""
     if table.find(quantity.names("u")) is None:
         return table.vector(quantity, "ned")
     neu = table.vector(quantity, "neu")
@@ -157,7 +156,7 @@ def _ned(table: Table, quantity: Quantity) -> Array | None:
 
 
 def _position_variance(table: Table) -> Array:
-    """(n, 3) m^2 of std columns, else of HDOP; nan: not given."""
+    """(n, 3) m^2 of std columns, else HDOP; nan: not given."""
     unknown = np.full(len(table.t_ns), np.nan)
     axes = "neu" if table.find(csv_table.SIGMA_POSITION.names("u")) is not None else "ned"
     sigma = table.vector(csv_table.SIGMA_POSITION, axes)
@@ -172,7 +171,7 @@ def _position_variance(table: Table) -> Array:
 
 
 def _velocity_variance(table: Table) -> Array:
-    """(n, 3) m^2/s^2 of one std column for all axes, or one for each; nan: not given."""
+    """(n, 3) m^2/s^2 of one std column or three; nan: not given."""
     one = table.find(("std_v_m_s", "s_acc_m_s", "speed_accuracy_m_s"))
     if one is not None:
         return np.repeat(one[:, np.newaxis] ** 2, 3, axis=1)
@@ -181,7 +180,7 @@ def _velocity_variance(table: Table) -> Array:
 
 
 def _status(table: Table) -> Array:
-    """NavSatStatus (n,): of fix_type (MAVLink: 3 and more are fixes), of status (the same if it ever exceeds 2), else 0."""
+    """NavSatStatus (n,) of fix_type (>= 3: fix), of status (likewise if ever > 2), else 0."""
     fix_type, status = table.find(("fix_type",)), table.find(("status",))
     if fix_type is None and status is not None and np.nanmax(status, initial=-1.0) > 2:
         fix_type = status
@@ -213,7 +212,7 @@ def _field(reader: _Reader, B: Array) -> list[Stream]:
 
 
 def _airspeed(reader: _Reader) -> tuple[list[Stream], bool]:
-    """Along the nose, and whether it is what the pitot tube indicates."""
+    """Airspeed along the nose, and whether indicated."""
     table = reader.table("airspeed", "airdata")
     true = None if table is None else table.find(_TRUE_AIRSPEED)
     speed = table.find(_INDICATED_AIRSPEED) if table is not None and true is None else true
@@ -223,9 +222,9 @@ def _airspeed(reader: _Reader) -> tuple[list[Stream], bool]:
 
 
 def _poses(table: Table, options: ImportOptions, B: Array) -> tuple[Array, Array, Array]:
-    """p_n (n, 3), v_n (n, 3), q_nb_wxyz (n, 4) of a table of poses, nan: not given.
+    """p_n (n, 3), v_n (n, 3), q_nb_wxyz (n, 4), nan: not given.
 
-    Columns n, e, d are NED; x, y, z are in the world of the options, else ENU (an attitude alone: NED).
+    Columns n, e, d: NED; x, y, z: options' world, else ENU (attitude alone: NED).
     """
     axes = next((a for a in (_NED, "xyz") if table.find(csv_table.POSITION.names(a[0])) is not None), None)
     usual = _NED if axes is None else "enu"
@@ -259,13 +258,12 @@ def _vision(reader: _Reader, options: ImportOptions, B: Array, purpose: str) -> 
 
 
 def _odometry(reader: _Reader, options: ImportOptions, B: Array) -> Stream:
-    """Poses of vision.csv in a frame of their own."""
     table, p_o, q_ob = _vision(reader, options, B, "odometry")
     return recording.odometry(table.t_ns, arrived(table), p_o, q_ob, np.zeros(len(table.t_ns)))
 
 
 def _pose_fixes(reader: _Reader, options: ImportOptions, B: Array) -> Stream:
-    """Poses of vision.csv as fixes, the first of each period."""
+    """Poses of vision.csv as fixes, first of each period."""
     table, p_n, q_nb = _vision(reader, options, B, "pose fixes")
     period_ns = round(1e9 / options.pose_fix_hz)
     _, rows = np.unique((table.t_ns - table.t_ns[0]) // period_ns, return_index=True)

@@ -1,6 +1,6 @@
-"""One CSV file (plain or gzipped) as numbers, columns by name and unit of the header.
+"""A CSV file (or gzipped) as numbers, columns by header name and unit.
 
-A cell that is no number is nan; lines of another length are left out, a torn file is read to its end: counted in `notes`.
+Non-numbers are nan, lines of another length dropped, torn files read to the end: counted in `notes`.
 """
 
 import re
@@ -33,14 +33,14 @@ _DAY_NS, _MINUTE_NS = 86_400 * 10**9, 60 * 10**9
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A physical quantity under the names people give it: stem + axis + unit; the unit's factor makes it SI."""
+    """A physical quantity: stem + axis + unit, with SI factor."""
 
     name: str
     stems: tuple[str, ...]
     units: Mapping[str, float]
 
     def names(self, axis: str) -> dict[str, float]:
-        """Every header that means this quantity along `axis` ("" for a scalar), with its factor."""
+        """Headers of the quantity along `axis` ("": scalar), with factors."""
         return {stem + axis + unit: factor for unit, factor in self.units.items() for stem in self.stems}
 
 
@@ -68,7 +68,7 @@ SIGMA_VELOCITY = Quantity("velocity sigma", ("std_", "sigma_"), {"_m_s": 1.0, "_
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:
-    """names: the headers in lower case, [unit] as _unit; values (n, columns); t_ns (n,) validity; arrived_ns (n,) or None."""
+    """names: lower case, [unit] as _unit; values (n, columns); t_ns (n,); arrived_ns (n,) or None."""
 
     file: str
     names: tuple[str, ...]
@@ -78,7 +78,7 @@ class Table:
     notes: tuple[str, ...]
 
     def find(self, names: Mapping[str, float] | Iterable[str]) -> Array | None:
-        """The column (n,) under the first of these names that is there, times its factor; None where none is."""
+        """First existing column (n,) of these names times its factor, or None."""
         factors = names if isinstance(names, Mapping) else dict.fromkeys(names, 1.0)
         for name, factor in factors.items():
             if name in self.names:
@@ -86,7 +86,7 @@ class Table:
         return None
 
     def vector(self, quantity: Quantity, axes: str) -> Array | None:
-        """Columns (n, len(axes)) of a quantity; None where all are missing. Raises LogError where some are."""
+        """Columns (n, len(axes)), None without any. Raises LogError for some missing."""
         columns = [self.find(quantity.names(axis)) for axis in axes]
         found = [c for c in columns if c is not None]
         if not found:
@@ -97,7 +97,7 @@ class Table:
         return np.stack(found, axis=1)
 
     def needed(self, quantity: Quantity, axes: str) -> Array:
-        """Columns (n, len(axes)) of a quantity. Raises LogError where one is missing."""
+        """Columns (n, len(axes)). Raises LogError for a missing one."""
         found = self.vector(quantity, axes)
         if found is None:
             raise self._no_column(quantity, axes[0])
@@ -109,7 +109,7 @@ class Table:
 
 
 def read_table(path: Path, t0_ns: int | None = None) -> Table:
-    """The table in a CSV file. Stamps since the log's start are counted from t0_ns (None: EPOCH_NS). Raises LogError."""
+    """The table of a CSV file; relative stamps from t0_ns (None: EPOCH_NS). Raises LogError."""
     text, torn = _text(path)
     lines = text.splitlines()
     if not lines:
@@ -154,7 +154,7 @@ def read_table(path: Path, t0_ns: int | None = None) -> Table:
 
 
 def _check_digits(file: str, t_ns: Times) -> None:
-    """Refuse stamps of which hundreds have one value by LogError. t_ns (n,)."""
+    """Raise LogError where hundreds of stamps (n,) are equal."""
     distinct = len(np.unique(t_ns))
     if len(t_ns) >= _SAME_STAMP * distinct:
         values = "one value" if distinct == 1 else f"{distinct} values"
@@ -162,18 +162,18 @@ def _check_digits(file: str, t_ns: Times) -> None:
 
 
 def _over_midnight(t_ns: Times) -> tuple[Times, int]:
-    """Stamps that go on over midnight where they fall by a day, to a minute; and how often they do."""
+    """Stamps continued where they fall by a day; how often."""
     falls = np.abs(np.diff(t_ns) + _DAY_NS) < _MINUTE_NS
     return t_ns + _DAY_NS * np.concatenate([[0], np.cumsum(falls)]), int(np.count_nonzero(falls))
 
 
 def _plain(header: str) -> str:
-    """A header as a name: "w_RS_S_x [rad s^-1]" -> "w_rs_s_x_rad_s_1"; of `rostopic echo -p`: "field.latitude" -> "latitude"."""
+    """A header as a name: "w_RS_S_x [rad s^-1]" -> "w_rs_s_x_rad_s_1"; "field.latitude" -> "latitude"."""
     return re.sub(r"[^a-z0-9]+", "_", header.strip().lower().removeprefix("field.")).strip("_")
 
 
 def _text(path: Path) -> tuple[str, bool]:
-    """The text of a file, unpacked, and whether its end is missing."""
+    """Unpacked text, and whether its end is missing."""
     try:
         if path.suffix != ".gz":
             data, torn = content(path), False
@@ -191,7 +191,6 @@ def _text(path: Path) -> tuple[str, bool]:
 
 
 def _whole(rows: list[str], cells: int) -> tuple[list[str], str]:
-    """The lines with the right number of cells, and a note on the others."""
     whole = [row for row in rows if row.count(",") + 1 == cells]
     left_out = len(rows) - len(whole)
     return whole, f"{left_out} lines without {cells} cells left out" if left_out else ""
@@ -205,7 +204,7 @@ def _number(cell: str) -> float:
 
 
 def _times(file: str, names: tuple[str, ...], rows: list[str], stems: tuple[str, ...], t0_ns: int | None) -> Times | None:
-    """Stamps (n,) in ns since 1970, exact to the last digit; -1: no number; None: no column."""
+    """Stamps (n,) ns since 1970, exact; -1: no number; None: no column."""
     units = {stem + unit: ns for unit, ns in _TIME_UNITS.items() for stem in stems}
     name = next((n for n in units if n in names), None)
     if name is None:
@@ -222,7 +221,7 @@ def _times(file: str, names: tuple[str, ...], rows: list[str], stems: tuple[str,
 
 
 def _float_times(cells: list[str], unit_ns: int) -> Times | None:
-    """Stamps in ns by way of float64, where that is exact: all are numbers, and below 2^53 ns."""
+    """Stamps by float64 where exact: all below 2^53 ns."""
     try:
         stamps = np.array(cells, dtype=np.float64) * unit_ns
     except ValueError:
@@ -244,7 +243,7 @@ def _decimal(cell: str) -> Decimal | None:
 
 
 def _unit_by_size(stamp: float) -> int:
-    """ns per unit of a stamp whose header names none: counted from 1970 its size determines the unit, otherwise it is seconds."""
+    """ns per unit of a stamp without a named unit: by size since 1970, else seconds."""
     for smallest, unit_ns in ((1e17, 1), (1e14, 10**3), (1e11, 10**6)):
         if stamp > smallest:
             return unit_ns

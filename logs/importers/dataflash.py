@@ -1,4 +1,4 @@
-"""ArduPilot's on-board logs (.bin), by pymavlink.
+"""ArduPilot's .bin logs, by pymavlink.
 
     IMU (one of IMU2, IMU3 by option)   ->  /imu                         BARO  ->  /baro        MAG  ->  /mag
     ARSP, indicated                 ->  /airspeed                        RFND, downwards  ->  /range
@@ -10,8 +10,7 @@
     XKF1, NKF1 or EKF1              ->  /truth where there is no SIM: the autopilot's own estimate, for reference only;
                                         its attitude  ->  /attitude
 
-Instances are messages of their own (IMU2) or a field (I = 1), by version. t_ns of a fix is the receiver's week time on the log's
-clock, set so that the fastest fix took no time; the common delay is `delay_s`.
+t_ns of a fix: receiver week time on the log's clock, the fastest fix without delay; common delay: `delay_s`.
 """
 
 import contextlib
@@ -126,7 +125,7 @@ def _open(source: Path) -> Any:
 
 
 class _Layout:
-    """How this version of ArduPilot writes one message: where its stamp, its instance and the wanted fields are."""
+    """Fields of one message in this version of ArduPilot: stamp, instance, wanted ones."""
 
     def __init__(self, source: Path, message: Any) -> None:
         there = set(message.get_fieldnames())
@@ -140,18 +139,17 @@ class _Layout:
         self._present = [field in there for field in self.fields]
 
     def key(self, message: Any) -> str:
-        """The message's name, with k + 1 behind for its instance k > 0."""
+        """The message's name, k + 1 appended for instance k > 0."""
         instance = getattr(message, self._instance) if self._instance else 0
         return f"{self.name}{instance + 1}" if instance else self.name
 
     def row(self, message: Any) -> list[float]:
-        """Stamp [us since boot] and fields; nan for those that this version lacks."""
+        """Stamp [us since boot] and fields; nan: missing in this version."""
         fields = (getattr(message, f) if there else np.nan for f, there in zip(self.fields, self._present, strict=True))
         return [getattr(message, self._stamp) * self._unit_us, *fields]
 
 
 def _tables(source: Path, log: Any, imu: str, progress: Progress | None) -> Tables:
-    """All messages that are of use; where `imu` names one, those of other IMUs left out."""
     wanted = [n for n in (*_FIELDS, *_ALIASES) if not imu or not n.startswith("IMU") or n in ("IMU", imu)]
     layouts: dict[str, _Layout] = {}
     rows: dict[str, tuple[_Layout, list[list[float]]]] = {}
@@ -186,7 +184,7 @@ def _imu(source: Path, tables: Tables, name: str, timebase_us: int, notes: list[
 
 
 def _gnss(source: Path, tables: Tables, suffix: str, timebase_us: int) -> list[Stream]:
-    """Position and velocity of one receiver; suffix "" or "2"."""
+    """Position and velocity of a receiver; suffix "" or "2"."""
     table, topic = tables.get(f"GPS{suffix}"), f"/gnss{suffix}"
     if table is None:
         return []
@@ -206,7 +204,7 @@ def _gnss(source: Path, tables: Tables, suffix: str, timebase_us: int) -> list[S
 
 
 def _variances(gps: Mapping[str, Array], gpa: Mapping[str, Array] | None) -> tuple[Array, Array]:
-    """Of position (n, 3) m^2 and velocity (n, 3) m^2/s^2: of the receiver's own accuracies (GPA), else of HDOP and unknown."""
+    """Variances (n, 3) m^2, m^2/s^2: receiver accuracies (GPA), else HDOP and unknown."""
     n = len(gps[_TIME])
     position = sensors.variance_from_dop(gps["HDop"], np.full(n, np.nan))
     velocity = np.full((n, 3), np.nan)
@@ -221,7 +219,7 @@ def _variances(gps: Mapping[str, Array], gpa: Mapping[str, Array] | None) -> tup
 
 
 def _receiver_time_us(table: Mapping[str, Array]) -> Array:
-    """Week time of each fix on the log's clock [us]: arrival less what it took longer than the fastest fix around."""
+    """Week time of fixes on the log's clock [us]: arrival less excess over the fastest around."""
     arrived_us = table[_TIME]
     week, week_ms = (np.where(np.isnan(table[new]), table[old], table[new]) for new, old in (("GWk", "Week"), ("GMS", "TimeMS")))
     dated = np.flatnonzero(week > 0)
@@ -236,7 +234,7 @@ def _receiver_time_us(table: Mapping[str, Array]) -> Array:
 
 
 def _delay_s(parameters: Mapping[str, float], gnss: Stream) -> float:
-    """What the autopilot takes for the age of a fix at its arrival, less what t_ns has already."""
+    """Fix age by the autopilot less what t_ns contains."""
     delay_ms = next((parameters[name] for name in _DELAYS if parameters.get(name, 0.0) > 0.0), _USUAL_DELAY_MS)
     already_ms = float(np.median(gnss.arrived_ns - gnss.t_ns)) * 1e-6
     return max(0.0, delay_ms - already_ms) * 1e-3
@@ -255,7 +253,7 @@ def _sensors(tables: Tables, timebase_us: int) -> list[Stream]:
 
 
 def _range(tables: Tables, timebase_us: int) -> list[Stream]:
-    """Of a range finder that looks down; with another status than good there is no echo."""
+    """Downward range finder; other status than good: no echo."""
     table = tables.get("RFND")
     if table is None:
         return []
@@ -279,7 +277,7 @@ def _odometry(tables: Tables, timebase_us: int, notes: list[str]) -> list[Stream
 
 
 def _camera(tables: Tables, timebase_us: int) -> list[Stream]:
-    """A camera's steps; a confidence of 0 is none."""
+    """Camera steps; confidence 0: none."""
     table = tables.get("VISO")
     if table is None:
         return []
@@ -290,7 +288,7 @@ def _camera(tables: Tables, timebase_us: int) -> list[Stream]:
 
 
 def _flow(tables: Tables, timebase_us: int, streams: Sequence[Stream], notes: list[str]) -> list[Stream]:
-    """Rates [rad/s] since the row before, where none is missing between; the turn about z is the IMU's."""
+    """Rates [rad/s] between consecutive rows; the turn about z is the IMU's."""
     table = tables.get("OF")
     if table is None or len(table[_TIME]) <= 1:
         return []
@@ -306,7 +304,7 @@ def _flow(tables: Tables, timebase_us: int, streams: Sequence[Stream], notes: li
 
 
 def _wheels(tables: Tables, timebase_us: int) -> list[Stream]:
-    """Of each wheel its way [m] and quality; one whose quality is 0 all the time is not there."""
+    """Way [m] and quality of each wheel; quality always 0: absent."""
     table = tables.get("WENC")
     if table is None:
         return []
@@ -317,7 +315,7 @@ def _wheels(tables: Tables, timebase_us: int) -> list[Stream]:
 
 
 def _simulated(tables: Tables, timebase_us: int) -> tuple[Stream, Vec3] | None:
-    """Truth and origin of a simulated flight; velocities are those nearest in time."""
+    """Truth and origin of a simulation, nearest velocities."""
     table, fast = tables.get("SIM"), tables.get("SIM2")
     if table is None:
         return None
@@ -341,7 +339,7 @@ def _own_estimate(tables: Tables, timebase_us: int) -> Stream | None:
 
 
 def _attitude(own: Stream, tables: Tables, timebase_us: int) -> Stream:
-    """From the filter's first origin on, where the log has one: before it the heading is from magnetic north."""
+    """From the EKF's first origin on: before, heading is magnetic."""
     *_, q_nb = own.columns
     first = _origin_rows(tables)[:1]
     since_ns = _t_ns(tables["ORGN"][_TIME][first], timebase_us)[0] if len(first) else 0
@@ -349,13 +347,12 @@ def _attitude(own: Stream, tables: Tables, timebase_us: int) -> Stream:
 
 
 def _origin_rows(tables: Tables) -> NDArray[np.intp]:
-    """Rows of ORGN with an origin of the EKF (type 0)."""
+    """Rows of ORGN with an EKF origin (type 0)."""
     table = tables.get("ORGN")
     return np.flatnonzero(table["Type"] == 0) if table else np.array([], int)
 
 
 def _known_origin(tables: Tables) -> Vec3 | None:
-    """The last origin of the EKF (ORGN, type 0) in the log."""
     rows = _origin_rows(tables)
     if len(rows) == 0:
         return None

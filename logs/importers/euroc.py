@@ -1,4 +1,4 @@
-"""The folder layout of ASL data sets (EuRoC, TUM-VI and others), without images.
+"""ASL data sets (EuRoC, TUM-VI), without images.
 
     imu0/data.csv                            timestamp [ns], w_RS_S_xyz [rad s^-1], a_RS_S_xyz [m s^-2]
     state_groundtruth_estimate0/data.csv     timestamp, p_RS_R_xyz [m], q_RS_wxyz [], v_RS_R_xyz [m s^-1], biases
@@ -32,7 +32,7 @@ _SHEET = {
 
 
 def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | None = None) -> Recording:
-    """The recording in a folder that holds mav0, or in mav0 itself. Raises LogError."""
+    """The recording in mav0 or its parent. Raises LogError."""
     options.refuse_but("euroc", "axes", "world", "imu")
     mav = source / "mav0" if (source / "mav0").is_dir() else source
     folder = mav / (options.imu or "imu0")
@@ -74,7 +74,7 @@ def _truth(mav: Path, W: Array, B: Array, notes: list[str]) -> Stream | None:
 
 
 def _noise(path: Path) -> tuple[ImuNoise | None, str]:
-    """The data sheet's noise as sensor.yaml has it, made effective; None where it is not all there."""
+    """Effective noise from sensor.yaml; None if incomplete."""
     text = content(path).decode(errors="replace") if path.is_file() else ""
     values = {}
     for name, (key, factor) in _SHEET.items():

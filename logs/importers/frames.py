@@ -1,4 +1,4 @@
-"""Foreign axes -> NED and FRD, by letters that say where x, y and z point: "frd", "flu", "urf"; "ned", "enu".
+"""Foreign axes to NED and FRD, by letters: "frd", "flu", "urf"; "ned", "enu".
 
     x_frd = B x_file,  x_ned = W x_file,  R_nb = W R_file B^T
 
@@ -17,12 +17,12 @@ _WORLD = {"n": (1, 0, 0), "s": (-1, 0, 0), "e": (0, 1, 0), "w": (0, -1, 0), "d":
 
 
 def body_axes(letters: str) -> Array:
-    """B (3, 3), body axes of a log -> FRD. Raises LogError."""
+    """B (3, 3), body axes -> FRD. Raises LogError."""
     return _axes(letters, _BODY, "axes", "frd, flu or urf: of x, y, z each, forward/back, right/left or up/down")
 
 
 def world_axes(letters: str) -> Array:
-    """W (3, 3), world axes of a log -> NED. Raises LogError."""
+    """W (3, 3), world axes -> NED. Raises LogError."""
     return _axes(letters, _WORLD, "world", "ned or enu: of x, y, z each, north/south, east/west or up/down")
 
 
@@ -38,20 +38,20 @@ def _axes(letters: str, directions: dict[str, tuple[int, int, int]], name: str, 
 
 
 def turned(v: Array, axes: Array) -> Array:
-    """axes @ v of each row (n, 3) by a signed permutation: a nan stays in its own component."""
+    """axes @ v per row (n, 3), a signed permutation: nan keeps its component."""
     order = np.argmax(np.abs(axes), axis=1)
     return np.asarray(v[:, order] * axes[np.arange(3), order])
 
 
 def attitude(q_file_wxyz: Array, W: Array, B: Array) -> Array:
-    """q_nb_wxyz (n, 4), normalised, of the attitudes (n, 4) that turn the log's body axes into its world axes; nan stays nan."""
+    """q_nb_wxyz (n, 4), normalised, of body-to-world attitudes (n, 4); nan stays."""
     q_w, q_b = so3.from_matrix(W), so3.from_matrix(B)
     turn = np.stack([so3.multiply(so3.multiply(q_w, e), so3.conjugate(q_b)) for e in np.eye(4)], axis=1)
     return normalised(q_file_wxyz @ turn.T)
 
 
 def normalised(q: Array) -> Array:
-    """q / |q| of each row (n, 4); nan where |q| is 0."""
+    """q / |q| per row (n, 4); nan for |q| = 0."""
     norm = np.linalg.norm(q, axis=1, keepdims=True)
     return q / np.where(norm > 0.0, norm, np.nan)
 
@@ -66,7 +66,7 @@ def attitude_from_euler(roll: Array, pitch: Array, yaw: Array) -> Array:
 
 
 def attitude_at(t_ns: Times, known_ns: Times, q_known: Array, gap_ns: int) -> Array:
-    """Attitudes (n, 4) at t_ns on the chord between neighbours; nan where these are gap_ns or more apart; known_ns ascends."""
+    """Attitudes (n, 4) at t_ns between neighbours; nan if gap_ns apart; known_ns ascends."""
     q = np.full((len(t_ns), 4), np.nan)
     if len(known_ns) < 2:
         return q

@@ -1,4 +1,4 @@
-"""Foreign readers print a line for each damaged place, some from compiled code: not on our user's screen."""
+"""Silences foreign readers, compiled code included."""
 
 import contextlib
 import os
@@ -8,7 +8,7 @@ from pathlib import Path
 
 @contextlib.contextmanager
 def silence() -> Iterator[None]:
-    """Nothing reaches standard output (of Python) and standard error (of the process) meanwhile."""
+    """Discard standard output (Python) and standard error (process) meanwhile."""
     kept = os.dup(2)
     try:
         with Path(os.devnull).open("w") as nowhere:

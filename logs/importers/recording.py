@@ -1,4 +1,4 @@
-"""A foreign log as columns of numbers in NED, FRD, SI that become messages in the order of arrival; nan: not given."""
+"""A foreign log as columns in NED, FRD, SI, messages in order of arrival; nan: not given."""
 
 import heapq
 import math
@@ -40,7 +40,7 @@ _BLOCK = 4096  # rows that are plain Python objects at one time
 
 
 class Truth(msgspec.Struct, frozen=True, eq=False):
-    """Where the vehicle really was, or the log's own estimate for reference; nan: not given."""
+    """True state, or the log's own estimate; nan: not given."""
 
     t_ns: int
     arrived_ns: int
@@ -54,10 +54,10 @@ Message: TypeAlias = Input | Truth
 
 
 class ImportOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a log does not say itself; "": as the log, or its data set, says.
+    """What a log does not contain; "": as the log or data set.
 
-    axes: where x, y, z of the IMU point, a letter each of f/b, r/l, u/d (csv, euroc); world: of positions, n/s, e/w, u/d (csv,
-    euroc); imu: which of several; pose_fix_hz: poses of vision.csv as fixes (csv); odometry: as odometry (csv).
+    axes: IMU x, y, z, letters f/b, r/l, u/d (csv, euroc); world: n/s, e/w, u/d (csv, euroc); imu: which; pose_fix_hz: vision.csv
+    as fixes (csv); odometry: as odometry (csv).
     """
 
     axes: str = ""
@@ -67,7 +67,7 @@ class ImportOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     odometry: bool = False
 
     def refuse_but(self, kind: str, *names: str) -> None:
-        """Raise LogError for an option that is set and not among `names`, those that mean something for this kind of log."""
+        """Raise LogError for a set option not in `names`."""
         for name in self.__struct_fields__:
             if name not in names and getattr(self, name) != getattr(DEFAULTS, name):
                 raise LogError(f"--{name.replace('_', '-')} means nothing for {kind} logs; leave it out")
@@ -78,7 +78,7 @@ DEFAULTS = ImportOptions()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stream:
-    """Messages of one topic: t_ns, arrived_ns (n,), columns (n, ...), and what makes a message of one row of them."""
+    """Messages of a topic: t_ns, arrived_ns (n,), columns (n, ...), and the row's constructor."""
 
     topic: str
     t_ns: Times
@@ -90,7 +90,7 @@ class Stream:
         return len(self.t_ns)
 
     def within(self, first_ns: int, last_ns: int) -> Self:
-        """The messages that were valid and arrived between the two."""
+        """Messages valid and arrived within the interval."""
         earlier, later = np.minimum(self.t_ns, self.arrived_ns), np.maximum(self.t_ns, self.arrived_ns)
         rows = (earlier >= first_ns) & (later <= last_ns)
         if rows.all():
@@ -98,7 +98,7 @@ class Stream:
         return replace(self, t_ns=self.t_ns[rows], arrived_ns=self.arrived_ns[rows], columns=tuple(c[rows] for c in self.columns))
 
     def __iter__(self) -> Iterator[Message]:
-        """In the order of arrival; messages that arrived together as they stand in the log."""
+        """In order of arrival, stable."""
         order = np.argsort(self.arrived_ns, kind="stable")
         for start in range(0, len(order), _BLOCK):
             rows = order[start : start + _BLOCK]
@@ -108,7 +108,7 @@ class Stream:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """A whole log, and what the estimator should know about it. Of messages that arrived together, earlier streams come first."""
+    """A whole log and hints for the estimator; at equal arrival earlier streams first."""
 
     streams: tuple[Stream, ...]
     settings: Settings
@@ -117,7 +117,7 @@ class Recording:
 
     @classmethod
     def of(cls, streams: Iterable[Stream], settings: Settings, notes: Iterable[str], reference: str = "") -> Self:
-        """A Recording without the messages whose stamps no log can hold, those of damaged rows; a note says how many."""
+        """Without messages of impossible stamps; a note counts them."""
         given = tuple(streams)
         kept = [s.within(0, _LAST_NS) for s in given]
         lost = sum(map(len, given)) - sum(map(len, kept))
@@ -131,7 +131,7 @@ class Recording:
         return heapq.merge(*self.streams, key=_arrived)
 
     def stream(self, topic: str) -> Stream | None:
-        """The stream of that topic, None where the log has none."""
+        """The topic's stream or None."""
         return next((s for s in self.streams if s.topic == topic), None)
 
 
@@ -140,7 +140,7 @@ def _arrived(message: Message) -> int:
 
 
 def arrival(t_ns: Times) -> Times:
-    """Arrival of messages in file order: the running maximum of the stamps, without single stamps that leap ahead."""
+    """Arrivals in file order: running maximum of stamps, outliers removed."""
     held = t_ns.copy()
     if len(t_ns) > 2:
         leaps = 1 + np.flatnonzero((t_ns[1:-1] > t_ns[2:]) & (t_ns[2:] >= t_ns[:-2]))
@@ -158,7 +158,7 @@ def imu(t_ns: Times, arrived_ns: Times, gyro_b: Array, accel_b: Array, topic: st
 
 
 def gnss(t_ns: Times, arrived_ns: Times, lla: Array, variance_n: Array, status: Array, topic: str = "/gnss") -> Stream:
-    """GnssFixes; lla (n, 3) deg, deg, m; variance_n (n, 3) m^2, a row with nan: no covariance; status (n,) as NavSatStatus."""
+    """GnssFixes; lla (n, 3) deg, deg, m; variance_n (n, 3) m^2, nan: none; status (n,) NavSatStatus."""
 
     def make(t: int, arrived: int, place: list[float], variance: list[float], state: float) -> GnssFix:
         return GnssFix(t, arrived, place[0], place[1], place[2], _diagonal(variance), int(state), topic)
@@ -167,7 +167,7 @@ def gnss(t_ns: Times, arrived_ns: Times, lla: Array, variance_n: Array, status: 
 
 
 def gnss_velocity(t_ns: Times, arrived_ns: Times, v_n: Array, variance_n: Array, topic: str = "/gnss/velocity") -> Stream:
-    """GnssVelocities; v_n (n, 3) m/s, variance_n (n, 3) m^2/s^2, a row with nan: no covariance."""
+    """GnssVelocities; v_n (n, 3) m/s, variance_n (n, 3) m^2/s^2, nan: none."""
 
     def make(t: int, arrived: int, v: list[float], variance: list[float]) -> GnssVelocity:
         return GnssVelocity(t, arrived, (v[0], v[1], v[2]), _diagonal(variance), topic)
@@ -176,7 +176,7 @@ def gnss_velocity(t_ns: Times, arrived_ns: Times, v_n: Array, variance_n: Array,
 
 
 def sensor(kind: str, t_ns: Times, arrived_ns: Times, values: Array) -> Stream:
-    """Readings of one of logs.wire.sensors, of unknown variance; values (n, k)."""
+    """Readings of a logs.wire.sensors kind, variance unknown; values (n, k)."""
     topic = SENSORS[kind].topic
 
     def make(t: int, arrived: int, row: list[float]) -> Reading:
@@ -195,7 +195,7 @@ def pose_fix(t_ns: Times, arrived_ns: Times, p_n: Array, q_nb_wxyz: Array, varia
 
 
 def odometry(t_ns: Times, arrived_ns: Times, p_o: Array, q_ob_wxyz: Array, run: Array, topic: str = "/odometry") -> Stream:
-    """OdometryPoses; p_o (n, 3) m, q_ob_wxyz (n, 4), rows with nan are left out; run (n,): another number, another frame."""
+    """OdometryPoses; p_o (n, 3) m, q_ob_wxyz (n, 4), nan rows dropped; run (n,): frame number."""
     rows = np.flatnonzero(np.isfinite(p_o).all(axis=1) & np.isfinite(q_ob_wxyz).all(axis=1))
 
     def make(t: int, arrived: int, p: list[float], q: list[float], number: float) -> OdometryPose:
@@ -205,7 +205,7 @@ def odometry(t_ns: Times, arrived_ns: Times, p_o: Array, q_ob_wxyz: Array, run: 
 
 
 def attitude(t_ns: Times, arrived_ns: Times, q_nb_wxyz: Array, topic: str = ATTITUDE_TOPIC) -> Stream:
-    """AttitudePriors, two a second, of an autopilot's attitude estimate; q_nb_wxyz (n, 4), rows with nan are left out."""
+    """Two AttitudePriors a second; q_nb_wxyz (n, 4), nan rows dropped."""
     known = np.flatnonzero(np.isfinite(q_nb_wxyz).all(axis=1))
     _, first = np.unique(t_ns[known] // _ATTITUDE_NS, return_index=True)
     rows = known[first]
@@ -217,7 +217,7 @@ def attitude(t_ns: Times, arrived_ns: Times, q_nb_wxyz: Array, topic: str = ATTI
 
 
 def truth(t_ns: Times, p_n: Array, v_n: Array, q_nb_wxyz: Array) -> Stream:
-    """Truths, stamped as they arrive; p_n (n, 3) m, v_n (n, 3) m/s, q_nb_wxyz (n, 4)."""
+    """Truths at their arrival; p_n (n, 3) m, v_n (n, 3) m/s, q_nb_wxyz (n, 4)."""
 
     def make(t: int, arrived: int, p: list[float], v: list[float], q: list[float]) -> Truth:
         return Truth(t, arrived, (p[0], p[1], p[2]), (v[0], v[1], v[2]), (q[0], q[1], q[2], q[3]))

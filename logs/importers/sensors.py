@@ -1,4 +1,4 @@
-"""What receivers and IMUs write down, made comparable: units, fix types, accuracies, pressure, the origin of a log's truth."""
+"""Common forms: units, fix types, accuracies, pressure, origin of a truth."""
 
 import numpy as np
 
@@ -17,7 +17,7 @@ _AXES_LEAN = 0.7  # of the mean specific force that must point up if the axes ar
 
 
 def check_imu(gyro_b: Array, accel_b: Array, where: str) -> list[str]:
-    """Refuse deg/s, g and missing gravity by LogError; notes on what looks odd. gyro_b (n, 3), accel_b (n, 3), FRD."""
+    """Raise LogError for deg/s, g, missing gravity; notes. gyro_b, accel_b (n, 3), FRD."""
     force = np.linalg.norm(accel_b, axis=1)
     rate = np.linalg.norm(gyro_b, axis=1)
     if not np.isfinite(force).any() or not np.isfinite(rate).any():
@@ -40,7 +40,7 @@ def check_imu(gyro_b: Array, accel_b: Array, where: str) -> list[str]:
 
 
 def check_rate(t_ns: Times, where: str) -> list[str]:
-    """A note where the IMU is too slow to navigate by."""
+    """A note where the IMU is too slow."""
     period_s = float(np.median(np.diff(t_ns))) * 1e-9 if len(t_ns) > 1 else 0.0
     if period_s > 0.05:
         return [f"{where}: {1.0 / period_s:.1f} IMU samples a second are too few to navigate by: log 50 or more"]
@@ -48,7 +48,7 @@ def check_rate(t_ns: Times, where: str) -> list[str]:
 
 
 def check_place(lla: Array, where: str) -> None:
-    """Refuse latitudes and longitudes that are not degrees. lla (n, 3)."""
+    """Raise LogError unless degrees; lla (n, 3)."""
     known = np.abs(lla[np.isfinite(lla).all(axis=1), :2])
     usual = float(np.median(known, axis=0).max()) if len(known) else 0.0
     if usual > 360.0:
@@ -57,12 +57,12 @@ def check_place(lla: Array, where: str) -> None:
 
 
 def navsat_status(fix_type: Array) -> Array:
-    """NavSatStatus of a fix type: < 3 (none, 2D) -> -1, 3D -> 0, DGPS -> 1, RTK -> 2."""
+    """NavSatStatus: < 3 -> -1, 3D -> 0, DGPS -> 1, RTK -> 2."""
     return np.select([fix_type < 3, fix_type == 3, fix_type == 4], [-1.0, 0.0, 1.0], 2.0)
 
 
 def variance_from_dop(hdop: Array, vdop: Array) -> Array:
-    """Variances (n, 3) in NED, m^2, of HDOP and VDOP (n,); nan: not given.
+    """Variances (n, 3) NED, m^2, of HDOP and VDOP (n,); nan: not given.
 
     HDOP^2 UERE^2 = sigma_n^2 + sigma_e^2, VDOP UERE = sigma_d                                      (Groves 2013, eq. 9.144)
     """
@@ -72,27 +72,27 @@ def variance_from_dop(hdop: Array, vdop: Array) -> Array:
 
 
 def highres_field(field_b: Array) -> Array:
-    """Tesla (n, 3) of the magnetic field in HIGHRES_IMU: gauss, but microgauss from ArduPilot (4.7.0-dev)."""
+    """Tesla (n, 3) of HIGHRES_IMU: gauss, microgauss from ArduPilot (4.7.0-dev)."""
     is_micro = np.linalg.norm(field_b, axis=1, keepdims=True) > _NO_FIELD_GAUSS
     return GAUSS_T * np.where(is_micro, 1e-6, 1.0) * field_b
 
 
 def indicated_airspeed(pressure_pa: Array) -> Array:
-    """v = sqrt(2 q / rho_0) [m/s] of a dynamic pressure q [Pa], (n,); with the sign of q."""
+    """v = sqrt(2 q / rho_0) [m/s] of dynamic pressure q [Pa], (n,), signed."""
     return np.asarray(np.copysign(np.sqrt(2.0 * np.abs(pressure_pa) / _SEA_LEVEL_KG_M3), pressure_pa))
 
 
 def standard_pressure(height_m: Array) -> Array:
-    """p = 101325 (1 - 2.25577e-5 h)^5.25588 Pa, (n,): the standard atmosphere that barometric heights are made with."""
+    """p = 101325 (1 - 2.25577e-5 h)^5.25588 Pa, (n,): standard atmosphere."""
     return np.asarray(101325.0 * np.maximum(1.0 - 2.25577e-5 * height_m, 0.0) ** 5.25588)
 
 
 def origin_of_truth(gnss: Stream, truth: Stream, delay_s: float, known: Vec3 | None = None) -> Vec3 | None:
-    """Latitude, longitude [deg], height [m] of the truth's origin: the median over the fixes of
+    """Latitude, longitude [deg], height [m] of the truth's origin: median over fixes of
 
-        origin = place of the fix (-) p_n, of the truth at its time, which is its stamp less delay_s
+    origin = place of the fix (-) p_n, of the truth at its stamp less delay_s
 
-    `known`, of the log itself, is taken where it agrees to 2 m in each axis, or where fixes and truth do not overlap.
+    `known` is taken where it agrees to 2 m per axis, or without overlap.
     """
     lla, status = gnss.columns[0], gnss.columns[2]
     p_n = _position_at(gnss.t_ns - round(delay_s * 1e9), truth)
@@ -116,7 +116,7 @@ def _offset(origin: Origin, lla: Array, p_n: Array) -> Array:
 
 
 def _position_at(t_ns: Times, truth: Stream) -> Array:
-    """p_n (n, 3) of the truth at t_ns between neighbours; nan where these are far apart."""
+    """p_n (n, 3) of the truth at t_ns; nan in gaps."""
     p_n = np.full((len(t_ns), 3), np.nan)
     if len(truth) < 2:
         return p_n

@@ -1,7 +1,6 @@
-"""The configuration of an imported log, as TOML text.
+"""Configuration of an imported log (TOML), noise effective.
 
-Noise is effective: vibration, scale and mounting make it up to 20 times the data sheet's. Known data sets are tuned, the rest is
-by kind of vehicle, and the text says so.
+Data sheet noise is up to 20 times too small; known data sets are tuned, others by vehicle kind.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,10 +22,10 @@ BY_KIND = "not known for this log: typical of a multirotor's vibration at 50 Hz;
 
 
 class Settings(msgspec.Struct, frozen=True):
-    """One log's share of the configuration.
+    """A log's share of the configuration.
 
-    noise_reason: source of the noise; gnss_delay_s: age of a fix at its stamp; antenna_b_m: IMU to antenna; receiver, airspeed:
-    other keys of [gnss], [airspeed]; hard_iron_ut: uT, body axes; origin: deg, deg, m of the truth's frame, None: unknown.
+    noise_reason; gnss_delay_s: age of a fix at its stamp; antenna_b_m: IMU to antenna; receiver, airspeed: keys of [gnss],
+    [airspeed]; hard_iron_ut: uT, body axes; origin: deg, deg, m, None: unknown.
     """
 
     noise: ImuNoise = MULTIROTOR
@@ -41,7 +40,7 @@ class Settings(msgspec.Struct, frozen=True):
     wheels: bool = False  # velocities in the body are those of wheels
 
     def toml(self, kind: str, source: Path, topics: tuple[str, ...]) -> str:
-        """The text; topics: those of the log that are inputs."""
+        """The text; topics: inputs in the log."""
         inputs = {
             "imu": [t for t in topics if t.startswith("/imu")],
             "gnss": [t for t in topics if t.startswith("/gnss") and not t.endswith("/velocity")],
@@ -60,7 +59,7 @@ class Settings(msgspec.Struct, frozen=True):
         self, kind: str, source: Path, inputs: Mapping[str, Sequence[str]], offered: Sequence[str] = (), axes: str = "flu",
         mounting_deg: tuple[float, float] = (0.0, 0.0),
     ) -> str:  # fmt: skip
-        """The text; inputs: key -> topics; offered: comment lines; axes, mounting_deg (roll, pitch): of the IMU."""
+        """The text; inputs: key -> topics; offered: comments; axes, mounting_deg (roll, pitch) of the IMU."""
         lines = [
             f"# Written by: landfix import {kind} {source.name}   (importing again writes it anew: copy it before you change it)",
             "",
@@ -100,7 +99,7 @@ def _quoted(text: str) -> str:
 
 
 class DataSet(msgspec.Struct, frozen=True):
-    """A public collection of flights: its IMU axes, and what is known besides its files."""
+    """A public collection of flights: IMU axes and other knowledge."""
 
     axes: str = "frd"
     noise: ImuNoise = MULTIROTOR
@@ -154,6 +153,6 @@ DATA_SETS = {
 
 
 def data_set(folder: Path) -> DataSet:
-    """The data set that a folder belongs to, by the names along its path; UNKNOWN if none."""
+    """Data set of a folder, by its path; UNKNOWN if none."""
     names = (p.name for p in (folder, *folder.parents))
     return next((DATA_SETS[name] for name in names if name in DATA_SETS), UNKNOWN)

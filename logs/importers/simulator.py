@@ -1,4 +1,4 @@
-"""/truth of an autopilot's log: of ArduPilot's simulator where it is of a simulated flight, else the autopilot's estimate.
+"""/truth of an autopilot's log: simulator, else the autopilot's estimate.
 
 p_n = place (lat, lon, height) about the origin,  v_n,  q_nb    of the simulator
 """
@@ -12,9 +12,9 @@ from models.messages import Array, Vec3
 
 
 def truth(t_ns: Times, lla: Array, v_n: Array, q_nb_wxyz: Array, known: Vec3 | None) -> tuple[Stream, Vec3]:
-    """The truth and its origin: the log's own, else the first position.
+    """Truth and its origin: the log's, else the first position.
 
-    lla (n, 3) deg, deg, m above the sea; v_n (n, 3) m/s; q_nb_wxyz (n, 4) of any length; nan: not given; n > 0.
+    lla (n, 3) deg, deg, m above the sea; v_n (n, 3) m/s; q_nb_wxyz (n, 4), any length; nan: not given; n > 0.
     """
     lat, lon, alt = lla[0].tolist()
     origin = known or (lat, lon, alt)
@@ -23,7 +23,7 @@ def truth(t_ns: Times, lla: Array, v_n: Array, q_nb_wxyz: Array, known: Vec3 | N
 
 
 def about(truth: Stream | None, own: Stream | None, messages: str) -> str:
-    """What a person should know about the truth: own is the autopilot's estimate, `messages` are those that would hold one."""
+    """Remark on the truth: `own` is the autopilot's estimate, `messages` would hold a simulator's."""
     if truth is None:
         return f"no reference in it ({messages})"
     if truth is own:

@@ -1,4 +1,4 @@
-"""A log's steps of odometry -> increments of cameras and flow, velocities of wheels (increments.py)."""
+"""Odometry steps of a log to increments (cameras, flow) and velocities (wheels): increments.py."""
 
 from collections.abc import Iterable
 
@@ -15,7 +15,7 @@ _OLD_NS = 500_000_000  # of a range
 
 
 def camera(t_ns: Times, arrived_ns: Times, dt_ns: Times, turn: Array, moved: Array) -> list[Stream]:
-    """turn (n, 3) rad, moved (n, 3) m, seen in the body at the end of each step; rows with nan are left out."""
+    """turn (n, 3) rad, moved (n, 3) m, in the body at each step's end; nan rows dropped."""
     steps, made = CameraSteps(DELTA_TOPIC), list[tuple[int, OdometryDelta]]()
     for t, arrived, dt, a, p in zip(t_ns.tolist(), arrived_ns.tolist(), dt_ns.tolist(), turn, moved, strict=True):
         try:
@@ -29,7 +29,7 @@ def flow(
     t_ns: Times, arrived_ns: Times, dt_ns: Times, seen: Array, turn: Array, own_m: Array, streams: Iterable[Stream],
     notes: list[str],
 ) -> list[Stream]:  # fmt: skip
-    """seen (n, 2) and turn (n, 3) rad over dt_ns, own_m (n,): range in it; nan: not given; streams: IMU, range finder."""
+    """seen (n, 2), turn (n, 3) rad over dt_ns, own_m (n,): range; nan: not given; streams: IMU, range finder."""
     by_topic = {stream.topic: stream for stream in streams}
     imu = by_topic["/imu"]
     turn = np.where(np.isnan(turn), _turned(imu, t_ns - dt_ns, t_ns), turn)
@@ -51,7 +51,7 @@ def flow(
 
 
 def wheels(t_ns: Times, arrived_ns: Times, metres: Array) -> list[Stream]:
-    """metres (n, k): the way of each wheel since its start; a row with nan is lost."""
+    """metres (n, k): way of each wheel; nan row: lost."""
     topic = SENSORS["velocity_body"].topic
     ways, made = Wheels(topic), list[tuple[int, Reading]]()
     for t, arrived, way in zip(t_ns.tolist(), arrived_ns.tolist(), metres.tolist(), strict=True):
@@ -63,7 +63,7 @@ def wheels(t_ns: Times, arrived_ns: Times, metres: Array) -> list[Stream]:
 
 
 def _stream(topic: str, made: list[tuple[int, OdometryDelta]] | list[tuple[int, Reading]]) -> list[Stream]:
-    """The messages, each with the time at which its last row arrived."""
+    """Messages at their last row's arrival."""
     if not made:
         return []
     t_ns, arrived_ns = np.array([m.t_ns for _, m in made]), np.array([arrived for arrived, _ in made])
@@ -75,7 +75,7 @@ def _stream(topic: str, made: list[tuple[int, OdometryDelta]] | list[tuple[int, 
 
 
 def _turned(imu: Stream, t0_ns: Times, t_ns: Times) -> Array:
-    """(n, 3) rad: the gyroscope's integral from t0 to t."""
+    """(n, 3) rad: gyroscope integral from t0 to t."""
     order = np.argsort(imu.t_ns, kind="stable")
     at, rate = imu.t_ns[order], imu.columns[0][order]
     seconds = (at - at[0]) * 1e-9
@@ -85,7 +85,7 @@ def _turned(imu: Stream, t0_ns: Times, t_ns: Times) -> Array:
 
 
 def _finder(stream: Stream | None, t_ns: Times) -> Array:
-    """(n,) m: the reading that is closest in time; nan: none within half a second."""
+    """(n,) m: nearest reading; nan beyond 0.5 s."""
     if stream is None or not len(stream):
         return np.full(len(t_ns), np.nan)
     order = np.argsort(stream.t_ns, kind="stable")

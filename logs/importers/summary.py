@@ -1,4 +1,4 @@
-"""What an import wrote, for a person and for a program."""
+"""Result of an import."""
 
 import msgspec
 
@@ -6,7 +6,7 @@ from logs.findings import Finding
 
 
 class TopicRow(msgspec.Struct, frozen=True):
-    """A topic of a ROS bag; use: key of [inputs], empty: none; copied: it is in the log."""
+    """A topic of a bag; use: [inputs] key or empty; copied: in the log."""
 
     topic: str
     type: str
@@ -18,7 +18,7 @@ class TopicRow(msgspec.Struct, frozen=True):
 
 
 class ImportSummary(msgspec.Struct, frozen=True):
-    """The log, its configuration, messages by topic with their span, notes, streams at fault; topics: of a ROS bag."""
+    """Log, configuration, messages by topic, notes, faulty streams; topics: of a bag."""
 
     out: str
     config: str

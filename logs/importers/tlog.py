@@ -11,7 +11,7 @@
     ODOMETRY                      ->  /odometry: poses of a camera or lidar; a new frame at each reset_counter
     VISION_POSITION_DELTA         ->  /odometry_delta: a camera's steps      OPTICAL_FLOW_RAD  ->  /optical_flow
 
-The vehicle with the most messages is taken. Stamps count from boot; the fastest message of a boot gives the date.
+The vehicle with most messages counts. Stamps are since boot; the fastest message dates it.
 """
 
 import re
@@ -80,7 +80,7 @@ _NO_VERTICAL_SIGMA = 100.0  # m/s: GPS_RAW_INT has no vertical speed; 0 with thi
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Table:
-    """All messages of one name: when they were valid, when they arrived, and their fields as columns."""
+    """Messages of a name: t_ns, arrived_ns, fields as columns."""
 
     t_ns: Times
     arrived_ns: Times
@@ -140,7 +140,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
 
 
 def _messages(source: Path, progress: Progress | None) -> tuple[dict[str, Array], int, int]:
-    """Rows (arrived_us, stamp_us, number in the file, *fields) of the vehicle's messages; its autopilot; how many are damaged."""
+    """Rows (arrived_us, stamp_us, number, *fields) of the vehicle; its autopilot; number damaged."""
     rows: dict[int, dict[str, dict[int, list[list[float]]]]] = {}  # system, message, component
     autopilots: dict[int, tuple[int, int]] = {}  # system -> component, kind
     total = damaged = 0
@@ -168,7 +168,7 @@ def _messages(source: Path, progress: Progress | None) -> tuple[dict[str, Array]
 
 
 def _values(message: Any) -> list[float]:
-    """The fields of _FIELDS; 0 for those that this dialect lacks."""
+    """_FIELDS; 0 if missing in this dialect."""
     match message.get_type():
         case "WHEEL_DISTANCE":
             return [message.count, *message.distance]
@@ -181,12 +181,12 @@ def _values(message: Any) -> list[float]:
 
 
 def _of(component: int, rows: Mapping[int, list[list[float]]]) -> list[list[float]]:
-    """The rows that the autopilot sent; where it sent none, those of the component that sent most."""
+    """The autopilot's rows, else of the busiest component."""
     return rows[component] if component in rows else max(rows.values(), key=len)
 
 
 def _open(source: Path) -> Any:
-    """pymavlink's reader, at the first frame: by the first bytes it decides on the version of MAVLink for the whole file."""
+    """pymavlink's reader at the first frame, which decides the MAVLink version."""
     try:
         with opened(source) as file:
             frame = _FRAME.search(file.read(_BEGINNING))
@@ -205,7 +205,7 @@ def _stamp_us(message: Any) -> float:
 
 
 def _clock_steps(everything: Array) -> tuple[Array, Array]:
-    """First message after each step of the ground station's clock, and the step [us]; arrival [us] and stamp [us since boot]."""
+    """First message after each ground clock step, the step [us]; arrival [us], stamp [us since boot]."""
     booting = everything[(everything[:, 1] > 0) & (everything[:, 1] < _UNIX_US)]
     arrived, stamped = np.diff(booting[:, 0]), np.diff(booting[:, 1])
     steps = np.flatnonzero((np.abs(arrived - stamped) > _CLOCK_SET_US) & (np.abs(stamped) < _REBOOT_US))
@@ -213,7 +213,7 @@ def _clock_steps(everything: Array) -> tuple[Array, Array]:
 
 
 def _dated(messages: Mapping[str, Array], notes: list[str]) -> dict[str, _Table]:
-    """Columns by name, with t_ns and arrived_ns; boot by boot the stamps are shifted so that the fastest message took no time."""
+    """Columns by name with t_ns, arrived_ns; per boot the fastest message has no delay."""
     everything = np.concatenate([rows[:, :3] for rows in messages.values()])
     everything = everything[np.argsort(everything[:, 2], kind="stable")]
     numbers, lost_us = _clock_steps(everything)
@@ -257,7 +257,7 @@ def _imu(source: Path, tables: Mapping[str, _Table], wanted: str, autopilot: int
 
 
 def _other_imus(tables: Mapping[str, _Table], imu: Stream, notes: list[str]) -> list[Stream]:
-    """Those besides the one that leads; one that is the same, or too slow to take over, is none."""
+    """Further IMUs, without copies and slow ones."""
     streams: list[Stream] = []
     for name in (n for n in _OTHER_IMUS if n in tables):
         table = tables[name]
@@ -277,7 +277,7 @@ def _other_imus(tables: Mapping[str, _Table], imu: Stream, notes: list[str]) -> 
 
 
 def _has_ellipsoid(table: _Table) -> Array:
-    """Whether alt_ellipsoid is given: not 0, and not the height above the sea (a receiver without a geoid sends it in both)."""
+    """Whether alt_ellipsoid is given: not 0, and not the height above the sea."""
     height = table["alt_ellipsoid"]
     known: Array = (height != 0) & (np.abs(height - table["alt"]) > _SAME_HEIGHT_MM)
     return known
@@ -304,7 +304,7 @@ def _gnss(source: Path, table: _Table | None, topic: str) -> list[Stream]:
 
 
 def _position_variance(table: _Table) -> Array:
-    """(n, 3) m^2: of h_acc and v_acc [mm] where given, else of eph and epv [100 x HDOP, VDOP]; nan: not given."""
+    """(n, 3) m^2: h_acc, v_acc [mm], else eph, epv [100 x HDOP, VDOP]; nan: not given."""
     hdop, vdop = (np.where(table[name] == _UNKNOWN, np.nan, table[name] * 1e-2) for name in ("eph", "epv"))
     accuracy = table.vector("h_acc", "h_acc", "v_acc") * 1e-3
     return np.where((accuracy > 0.0).all(axis=1, keepdims=True), accuracy**2, sensors.variance_from_dop(hdop, vdop))
@@ -318,7 +318,7 @@ def _baro(tables: Mapping[str, _Table]) -> list[Stream]:
 
 
 def _airspeed(tables: Mapping[str, _Table]) -> list[Stream]:
-    """Indicated airspeed of the dynamic pressure, hPa; 0: there is no pitot tube."""
+    """Indicated airspeed of dynamic pressure, hPa; 0: no pitot tube."""
     table = tables.get("SCALED_PRESSURE")
     if table is None or not len(rows := np.flatnonzero(table["press_diff"])):
         return []
@@ -327,7 +327,7 @@ def _airspeed(tables: Mapping[str, _Table]) -> list[Stream]:
 
 
 def _range(tables: Mapping[str, _Table]) -> list[Stream]:
-    """Of a range finder that looks down, cm; outside its limits there is no echo."""
+    """Downward range finder, cm; out of limits: no echo."""
     table = tables.get("DISTANCE_SENSOR")
     if table is None or not len(rows := np.flatnonzero(table["orientation"] == mavlink.MAV_SENSOR_ROTATION_PITCH_270)):
         return []
@@ -338,7 +338,7 @@ def _range(tables: Mapping[str, _Table]) -> list[Stream]:
 
 
 def _field(tables: Mapping[str, _Table], autopilot: int) -> list[Stream]:
-    """The magnetic field of the best IMU message that has one; a row that repeats the last one is no reading."""
+    """Field of the best IMU message; repeated rows are no reading."""
     for name in _usable(tables, autopilot):
         table = tables[name]
         field_b = table.vector("xmag", "ymag", "zmag")
@@ -350,7 +350,7 @@ def _field(tables: Mapping[str, _Table], autopilot: int) -> list[Stream]:
 
 
 def _heading(tables: Mapping[str, _Table]) -> list[Stream]:
-    """Of the first receiver with two antennas, hundredths of a degree; 0: it has one, 65535: not now."""
+    """Two-antenna heading, centidegrees; 0: none, 65535: not now."""
     for table in (tables[name] for name in _RECEIVERS if name in tables):
         rows = np.flatnonzero((table["yaw"] != 0.0) & (table["yaw"] != _UNKNOWN))
         if len(rows):
@@ -360,7 +360,6 @@ def _heading(tables: Mapping[str, _Table]) -> list[Stream]:
 
 
 def _wheels(tables: Mapping[str, _Table]) -> list[Stream]:
-    """Of as many wheels as the first message counts."""
     table = tables.get("WHEEL_DISTANCE")
     if table is None:
         return []
@@ -369,7 +368,7 @@ def _wheels(tables: Mapping[str, _Table]) -> list[Stream]:
 
 
 def _odometry(tables: Mapping[str, _Table], notes: list[str]) -> list[Stream]:
-    """Poses of the body (forward, right, down) from outside, in a frame that looks down, too; a quality below 0 is lost."""
+    """External body poses; frames looking down; quality < 0: lost."""
     table = tables.get("ODOMETRY")
     if table is None:
         return []
@@ -388,7 +387,7 @@ def _odometry(tables: Mapping[str, _Table], notes: list[str]) -> list[Stream]:
 
 
 def _camera(tables: Mapping[str, _Table]) -> list[Stream]:
-    """A camera's steps; a confidence of 0 is none."""
+    """Camera steps; confidence 0: none."""
     table = tables.get("VISION_POSITION_DELTA")
     if table is None:
         return []
@@ -398,7 +397,7 @@ def _camera(tables: Mapping[str, _Table]) -> list[Stream]:
 
 
 def _flow(tables: Mapping[str, _Table], imu: Stream, notes: list[str]) -> list[Stream]:
-    """Over the range of the message; a quality of 0 is none."""
+    """Over the message's range; quality 0: none."""
     table = tables.get("OPTICAL_FLOW_RAD")
     if table is None:
         return []
@@ -410,12 +409,12 @@ def _flow(tables: Mapping[str, _Table], imu: Stream, notes: list[str]) -> list[S
 
 
 def _usable(tables: Mapping[str, _Table], autopilot: int) -> list[str]:
-    """IMU messages in physical units, the best first; RAW_IMU of others is in counts of the chip."""
+    """IMU messages in physical units, best first; other RAW_IMU are counts."""
     return [n for n in _IMUS if n in tables and (n != "RAW_IMU" or autopilot == _ARDUPILOT)]
 
 
 def _simulated(tables: Mapping[str, _Table]) -> tuple[Stream, Vec3] | None:
-    """Truth and origin of a simulated flight. SIM_STATE has no stamp: it was valid when it arrived."""
+    """Truth and origin of a simulation; SIM_STATE is stamped by arrival."""
     table = tables.get("SIM_STATE")
     if table is None:
         return None

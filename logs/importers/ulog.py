@@ -10,7 +10,7 @@
     vehicle_visual_odometry, else vehicle_mocap_odometry ->  /odometry: poses; a new frame at each reset_counter
     vehicle_optical_flow                                 ->  /optical_flow: over its range or the range finder's
 
-Stamps are us since boot; the date is the receiver's time_utc_usec. Field names differ by version (lat 1e-7 deg until v1.14).
+Stamps: us since boot; date: time_utc_usec; field names by version (lat 1e-7 deg until v1.14).
 """
 
 import io
@@ -81,7 +81,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
 
 
 def _receiver(data: Sequence[Any], notes: list[str]) -> Topic | None:
-    """The receiver with the most 3-D fixes, of equal ones the autopilot's choice, then the first; a note where it is another."""
+    """Receiver with most 3-D fixes, else the autopilot's choice; a note on others."""
     receivers = [d for name in ("vehicle_gps_position", "sensor_gps") for d in data if d.name == name]
     if not receivers:
         return None
@@ -96,14 +96,14 @@ def _receiver(data: Sequence[Any], notes: list[str]) -> Topic | None:
 
 
 class _Finite(io.BufferedReader):
-    """A file that ends after twice its size: pyulog loops at the end of some damaged files."""
+    """A file that ends after twice its size: pyulog loops on some damage."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(io.FileIO(path))
         self._furthest, self._standing, self._patience = 0, 0, 1000 + 2 * path.stat().st_size
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """As of any file, until no read has come further for too long. Raises LogError."""
+        """As any file, until no progress for too long. Raises LogError."""
         self._standing += 1
         if (place := self.tell()) > self._furthest:
             self._furthest, self._standing = place, 0
@@ -135,7 +135,7 @@ def _open(source: Path) -> Any:
 
 
 def _clock(receiver: Topic | None, notes: list[str]) -> int:
-    """What to add to the log's stamps [us] to count from 1970."""
+    """Offset of the log's stamps [us] to 1970."""
     if receiver is not None and receiver["timestamp"][0] > _UNIX_US:
         return 0
     if receiver is not None:
@@ -148,7 +148,7 @@ def _clock(receiver: Topic | None, notes: list[str]) -> int:
 
 
 def _odometry(topics: Mapping[str, Topic], clock_us: int, notes: list[str]) -> list[Stream]:
-    """Poses from cameras; their frame, NED or FRD, does not matter, for only differences count."""
+    """Camera poses, NED or FRD: only differences count."""
     topic = topics.get("vehicle_visual_odometry", topics.get("vehicle_mocap_odometry"))
     names = [f"{field}[{k}]" for field, size in (("position", 3), ("q", 4)) for k in range(size)]
     names = names if topic is None or names[0] in topic else ["x", "y", "z", *names[3:]]
@@ -164,7 +164,7 @@ def _odometry(topics: Mapping[str, Topic], clock_us: int, notes: list[str]) -> l
 
 
 def _flow(topics: Mapping[str, Topic], clock_us: int, streams: Sequence[Stream], notes: list[str]) -> list[Stream]:
-    """Flow and turn accumulated over a time, rad; nan: no turn of a gyroscope of its own, or no range."""
+    """Flow and turn over a time, rad; nan: no own gyroscope or range."""
     topic = topics.get("vehicle_optical_flow")
     if topic is None or any(name not in topic for name in _FLOW):
         return []
@@ -176,7 +176,7 @@ def _flow(topics: Mapping[str, Topic], clock_us: int, streams: Sequence[Stream],
 
 
 def _times(topic: Topic, clock_us: int) -> tuple[Times, Times]:
-    """t_ns, arrived_ns: of the sample where the driver gives it, and of its publication."""
+    """t_ns, arrived_ns: of the sample if given, and its publication."""
     published = np.minimum(topic["timestamp"], _FAR_US).astype(np.int64)
     sampled = np.minimum(topic["timestamp_sample"], _FAR_US).astype(np.int64) if "timestamp_sample" in topic else published
     sampled = np.where(sampled > 0, sampled, published)
@@ -208,7 +208,7 @@ def _imu(source: Path, topics: Mapping[str, Topic], clock_us: int, notes: list[s
 
 
 def _other_imus(data: Sequence[Any], clock_us: int, notes: list[str]) -> list[Stream]:
-    """Those besides the autopilot's choice: increments over dt, whose means are valid in the middle of it."""
+    """Other IMUs: increments over dt, valid at its middle."""
     chosen = [d.data["gyro_device_id"][0] for d in data if d.name == "sensor_selection" and "gyro_device_id" in d.data]
     if not chosen:
         return []
@@ -228,7 +228,7 @@ def _other_imus(data: Sequence[Any], clock_us: int, notes: list[str]) -> list[St
 
 
 def _place(topic: Topic) -> tuple[Array, Array]:
-    """(n, 3) deg, deg, m above the ellipsoid where it is known, else above sea level; and (n,) how much these differ."""
+    """(n, 3) deg, deg, m above the ellipsoid if known, else the sea; and (n,) their difference."""
     if "latitude_deg" in topic:
         lla, ellipsoid = _vector(topic, "latitude_deg", "longitude_deg", "altitude_msl_m"), _vector(topic, "altitude_ellipsoid_m")
     else:
@@ -257,7 +257,7 @@ def _gnss(source: Path, topic: Topic, clock_us: int, notes: list[str]) -> list[S
 
 
 def _squared(sigma: Array) -> Array:
-    """Variance; nan where a sigma of 0 says that it is not known."""
+    """Variance; nan for sigma 0 (unknown)."""
     return np.where(sigma > 0.0, np.square(sigma), np.nan)
 
 
@@ -270,7 +270,7 @@ def _baro(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
 
 
 def _heading(topic: Topic, clock_us: int) -> list[Stream]:
-    """Of a receiver with two antennas; heading_offset is the angle of their line from the nose."""
+    """Two-antenna heading; heading_offset: their line from the nose."""
     if "heading" not in topic:
         return []
     azimuth = topic["heading"].astype(np.float64) - topic.get("heading_offset", 0.0)
@@ -281,7 +281,7 @@ def _heading(topic: Topic, clock_us: int) -> list[Stream]:
 
 
 def _field(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
-    """What the autopilot navigates by, with its calibration, else the raw magnetometer; gauss."""
+    """Calibrated field in use, else raw magnetometer; gauss."""
     topic, names = topics.get("vehicle_magnetometer"), ("magnetometer_ga[0]", "magnetometer_ga[1]", "magnetometer_ga[2]")
     if topic is None:
         topic, names = topics.get("sensor_mag"), ("x", "y", "z")
@@ -291,7 +291,7 @@ def _field(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
 
 
 def _airspeed(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
-    """True airspeed; what the autopilot has checked, where it does. One that it makes up without a sensor is nan or none."""
+    """True airspeed, checked if available; without sensor none."""
     topic = topics.get("airspeed_validated", topics.get("airspeed"))
     if topic is None or "true_airspeed_m_s" not in topic:
         return []
@@ -303,7 +303,7 @@ def _airspeed(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
 
 
 def _range(data: Sequence[Any], clock_us: int) -> list[Stream]:
-    """Of the first range finder that looks down; outside its limits there is no echo."""
+    """First downward range finder; out of limits: no echo."""
     topic = next((d.data for d in data if d.name == "distance_sensor" and (d.data["orientation"] == _DOWNWARDS).all()), None)
     if topic is None:
         return []
@@ -320,14 +320,13 @@ def _attitude(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
 
 
 def _simulated(topics: Mapping[str, Topic]) -> bool:
-    """Whether the log has the simulator's ground truth."""
     return "vehicle_local_position_groundtruth" in topics
 
 
 def _truth(
     topics: Mapping[str, Topic], receiver: Topic | None, clock_us: int, notes: list[str]
 ) -> tuple[Stream | None, Vec3 | None]:
-    """Ground truth, else the autopilot's own estimate, at the stamps of its position; and where its origin is."""
+    """Ground truth, else the autopilot's estimate, at position stamps; its origin."""
     suffix = "_groundtruth" if _simulated(topics) else ""
     position, attitude = topics.get(f"vehicle_local_position{suffix}"), topics.get(f"vehicle_attitude{suffix}")
     if position is None or attitude is None:

@@ -1,4 +1,4 @@
-"""The report: map, plots, rejections with reasons in one HTML file; scripts and style are `*.js` and `page.css` here.
+"""The report: map, plots, rejections in one HTML file; scripts and style beside.
 
 Begin with `write`. May import logs.evaluation and the layers below it.
 """

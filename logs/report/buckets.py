@@ -1,4 +1,4 @@
-"""Extremes of signals in a limited number of equal spans of time; when the flight outgrows them, neighbours are joined."""
+"""Extremes of signals in a bounded number of time spans, merged as the flight grows."""
 
 from typing import Final
 
@@ -12,14 +12,14 @@ _FIRST_NS: Final = 10_000_000
 
 
 class Buckets:
-    """Extremes of k signals: low, high (n, k), nan where a span has none; span i begins at start_ns + i step_ns."""
+    """k signals: low, high (n, k), nan: empty; span i starts at start_ns + i step_ns."""
 
     def __init__(self, signals: int, start_ns: int, spans: int = _SPANS) -> None:
         self.start_ns, self.step_ns = start_ns, _FIRST_NS
         self._low, self._high = np.full((spans, signals), np.inf), np.full((spans, signals), -np.inf)
 
     def add(self, t_ns: Times, values: Array) -> None:
-        """values: (n, k) at (n,) stamps in any order. What is not finite, or before start_ns, is left out."""
+        """values: (n, k) at (n,) stamps, any order; non-finite or earlier ones dropped."""
         known = t_ns >= self.start_ns
         order = np.argsort(t_ns[known], kind="stable")
         t_ns, values = t_ns[known][order], values[known][order]
@@ -45,12 +45,12 @@ class Buckets:
 
     @property
     def low(self) -> Array:
-        """The least of each span, up to the last span that has any."""
+        """Least of each span, to the last filled."""
         return self._of_buckets(self._low)
 
     @property
     def high(self) -> Array:
-        """The greatest of each span, up to the last span that has any."""
+        """Greatest of each span, to the last filled."""
         return self._of_buckets(self._high)
 
     def _of_buckets(self, extremes: Array) -> Array:

@@ -1,4 +1,4 @@
-"""What the page's script draws: plots over time, bars, strips of states, the map. Records that become JSON as they are."""
+"""JSON-ready drawings of the page: time plots, bars, state strips, map."""
 
 from typing import Literal
 
@@ -14,7 +14,7 @@ Numbers = list[float | None]
 
 
 class Line(msgspec.Struct, frozen=True, tag="line"):
-    """Extremes per span of time; turn: the period of an angle, 0 for what is none."""
+    """Extremes per time span; turn: an angle's period, or 0."""
 
     name: str
     colour: Colour
@@ -26,7 +26,7 @@ class Line(msgspec.Struct, frozen=True, tag="line"):
 
 
 class Band(msgspec.Struct, frozen=True, tag="band"):
-    """An area from low to high per span of time."""
+    """An area from low to high per span."""
 
     name: str
     colour: Colour
@@ -37,7 +37,7 @@ class Band(msgspec.Struct, frozen=True, tag="band"):
 
 
 class Points(msgspec.Struct, frozen=True, tag="points"):
-    """Single events; text: shown where the pointer is near."""
+    """Single events; text: tooltip."""
 
     name: str
     colour: Colour
@@ -55,7 +55,7 @@ class Level(msgspec.Struct, frozen=True):
 
 
 class TimeChart(msgspec.Struct, frozen=True, tag="time"):
-    """A plot over time, seconds since the first estimate. asinh: linear within +-linear, logarithmic beyond."""
+    """A plot over seconds since the first estimate; asinh: linear within +-linear."""
 
     title: str
     unit: str
@@ -105,7 +105,7 @@ class Path(msgspec.Struct, frozen=True):
 
 
 class Ellipse(msgspec.Struct, frozen=True):
-    """Semi-axes a, b; a points from east to north by turn_deg."""
+    """Semi-axes a, b; a turned by turn_deg from east to north."""
 
     x: float
     y: float
@@ -136,7 +136,7 @@ class Marks(msgspec.Struct, frozen=True):
 
 
 class MapChart(msgspec.Struct, frozen=True, tag="map"):
-    """From above: east to the right, north up, metres; box: west, south, east, north of what is shown at first."""
+    """From above, metres; box: west, south, east, north of the initial view."""
 
     title: str
     paths: list[Path]
@@ -158,7 +158,7 @@ class Span(msgspec.Struct, frozen=True):
 
 
 class Drawing(msgspec.Struct, frozen=True):
-    """All that is drawn: charts by name, shades, and the time they all show at first."""
+    """charts by name, shades, common initial time."""
 
     charts: dict[str, Chart]
     spans: list[Span]
@@ -167,7 +167,7 @@ class Drawing(msgspec.Struct, frozen=True):
 
 
 def short(values: Array, digits: int = 5) -> Numbers:
-    """Numbers as a page needs them: so many digits, None where there is none."""
+    """Numbers of so many digits, None for none."""
     return [float(f"{x:.{digits}g}") if np.isfinite(x) else None for x in np.asarray(values, float).tolist()]
 
 
@@ -178,7 +178,7 @@ def line(name: str, colour: Colour, of: Buckets, column: int, start_ns: int, tur
 
 
 def band(name: str, colour: Colour, of: Buckets, column: int, half: int | Array, start_ns: int) -> Band:
-    """The band of half a width (a column, or an array) about a signal."""
+    """A band of half a width (column or array) about a signal."""
     width = of.high[:, half] if isinstance(half, int) else half
     low, high = short(of.low[:, column] - width), short(of.high[:, column] + width)
     return Band(name, colour, _start(of, start_ns), of.step_ns * 1e-9, low, high)

@@ -1,4 +1,4 @@
-"""Data of a report beyond the evaluation, gathered in the same pass in bounded memory (IMU rate: extremes per span)."""
+"""Report data beyond the evaluation, same pass, bounded memory."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -41,7 +41,7 @@ _OWN_WAY: Final = (ValueError, KeyError, SerdeError)  # bytes that are no messag
 
 @dataclass(slots=True)
 class Stretch:
-    """From t_ns on it is this, until the next one."""
+    """A state from t_ns until the next."""
 
     t_ns: int
     state: str
@@ -49,7 +49,7 @@ class Stretch:
 
 @dataclass(slots=True)
 class Traffic:
-    """One topic: how many messages, from when to when, and the longest silence between two (by arrival)."""
+    """A topic: count, span, longest silence (arrivals)."""
 
     schema: str
     first_ns: int
@@ -61,7 +61,7 @@ class Traffic:
 
 @dataclass(slots=True)
 class Frame:
-    """One attempt of vision: what it was asked, and what came of it."""
+    """A vision attempt: request and result."""
 
     request: VisionRequest | None = None
     report: VisionReport | None = None
@@ -69,7 +69,7 @@ class Frame:
 
 
 class Histogram:
-    """Counts of times in bins of a tenth of a decade, 0.1 ms to 100 s; outliers in the outermost bins."""
+    """Counts of times in tenths of a decade, 0.1 ms to 100 s."""
 
     def __init__(self) -> None:
         decades = round(np.log10(_LONGEST_S / _SHORTEST_S))
@@ -84,10 +84,10 @@ class Histogram:
 
 @dataclass
 class Gathered:
-    """see() takes every record in order, then close().
+    """see() takes records in order, then close().
 
-    signals: position, velocity ENU, roll pitch heading in degrees (unwrapped), 1.96 sigma of each, the 95 % radius; numbers:
-    NUMBERS of the health; states: of the mode ("mode") and of each source.
+    signals: position, velocity ENU, roll pitch heading (unwrapped deg), 1.96 sigma of each, 95 % radius; numbers: NUMBERS of
+    health; states: mode, sources.
     """
 
     estimates: int = 0
@@ -169,7 +169,7 @@ class Gathered:
         self.signals.add(estimate.t_ns, np.hstack([value, SIGMAS_95 * sigmas(estimate), radius[:, None]]))
 
     def _unwrapped(self, attitude: Array) -> Array:
-        """The same with a heading that does not leap from 360 to 0."""
+        """Heading unwrapped."""
         known = np.isfinite(attitude[:, 2])
         heading = np.unwrap(np.concatenate([[self._heading_deg], attitude[known, 2]]), period=360.0)[1:]
         attitude[known, 2] = heading
@@ -227,7 +227,7 @@ class Gathered:
 
 
 def attitude_deg(q_wxyz: Array) -> Array:
-    """Roll, pitch (nose up), heading (clockwise from north) of q_wxyz, FLU body -> ENU map, (n, 3) in degrees."""
+    """Roll, pitch (nose up), heading (clockwise from north) of FLU -> ENU, (n, 3) deg."""
     w, x, y, z = q_wxyz.T
     roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
     pitch = np.arcsin(np.clip(2.0 * (x * z - w * y), -1.0, 1.0))
@@ -237,9 +237,7 @@ def attitude_deg(q_wxyz: Array) -> Array:
 
 
 def sigmas(estimate: Trajectory) -> Array:
-    """Standard deviations (n, 9) of position, velocity along ENU [m, m/s], and roll, pitch, heading [deg], to first order in
-    the tilt.
-    """
+    """Sigmas (n, 9): position, velocity ENU [m, m/s], roll, pitch, heading [deg], first order in tilt."""
     p = np.diagonal(estimate.covariance, axis1=1, axis2=2)[:, :3]
     R_mb = _matrices(estimate.q_wxyz)
     v = np.einsum("nij,njk,nik->ni", R_mb, estimate.v_covariance, R_mb)
@@ -252,7 +250,7 @@ def sigmas(estimate: Trajectory) -> Array:
 
 
 def _matrices(q_wxyz: Array) -> Array:
-    """R (n, 3, 3) of unit quaternions; nan where one is not given."""
+    """R (n, 3, 3) of unit quaternions; nan stays."""
     w, x, y, z = q_wxyz.T
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -264,7 +262,6 @@ def _matrices(q_wxyz: Array) -> Array:
 
 
 def _diagnostics(record: Record) -> tuple[int, dict[str, str]]:
-    """Stamp, and keys with their values, of a DiagnosticArray."""
     message: Any = schemas.STORE.deserialize_cdr(record.data, schemas.DIAGNOSTICS)
     return stamp_of(record.data) or 0, {pair.key: pair.value for status in message.status for pair in status.values}
 

@@ -1,4 +1,4 @@
-"""The report's section on integrity: protection levels over time, the states, and the Stanford plots."""
+"""Report section: protection levels, states, Stanford plots."""
 
 from collections.abc import Sequence
 from itertools import groupby
@@ -27,7 +27,7 @@ _SIDE: Final = "width:26em;max-width:100%"
 
 
 def charts(levels: Sequence[Integrity], c: Comparison, start_ns: int) -> dict[str, Chart]:
-    """Horizontal and vertical level with the error, where there is a truth, and the state."""
+    """Levels with errors (if a truth exists), and the state."""
     t_ns = np.array([i.t_ns for i in levels], np.int64)
     errors = np.hypot(c.p_error[:, 0], c.p_error[:, 1]), np.abs(c.p_error[:, 2])
     found: dict[str, Chart] = {}
@@ -48,7 +48,7 @@ def charts(levels: Sequence[Integrity], c: Comparison, start_ns: int) -> dict[st
 
 
 def plots(levels: Sequence[Integrity], c: Comparison) -> str:
-    """The Stanford plots beside each other; nothing without a truth."""
+    """Stanford plots, or nothing without truth."""
     compared = against_truth(levels, c.t_ns, c.p_error)
     at = [levels[k] for k in compared.row.tolist()]
     if not at:
@@ -61,7 +61,7 @@ def plots(levels: Sequence[Integrity], c: Comparison) -> str:
 
 
 def _held(t_ns: Times, values: Array) -> tuple[Times, Array]:
-    """Each value until the next one comes; a longer pause than usual stays a gap."""
+    """Values held until the next; gaps stay."""
     holds_ns = _USUAL * int(np.median(np.diff(t_ns))) if len(t_ns) > 1 else 0
     between = np.arange(t_ns[0], t_ns[-1], max(int(t_ns[-1] - t_ns[0]) // _POINTS, 1))
     row = np.searchsorted(t_ns, between, side="right") - 1
@@ -76,7 +76,6 @@ def _buckets(t_ns: Times, values: Array) -> Buckets:
 
 
 def _stays(levels: Sequence[Integrity], start_ns: int) -> list[Stay]:
-    """States that follow one another, each with the reason it began with."""
     runs = [next(group) for _, group in groupby(levels, key=lambda i: i.state)]
     ends = [i.t_ns for i in runs[1:]] + [levels[-1].t_ns]
     return [

@@ -1,4 +1,4 @@
-"""The flight from above: the way that was flown by mode, the truth, 95 % ellipses, fixes, landmarks."""
+"""The flight from above: path by mode, truth, 95 % ellipses, fixes, landmarks."""
 
 from collections.abc import Collection, Sequence
 from typing import Final
@@ -24,7 +24,7 @@ _SIGMAS_95_PLANE: Final = 2.447747
 
 
 def flight(collected: Collected, gathered: Gathered, outages: list[tuple[int, int]], landmarks: Sequence[Landmark]) -> MapChart:
-    """The map. landmarks: of the map that vision had, in its frame; those that a fix names stand out."""
+    """The map; landmarks: in its frame, those of fixes stand out."""
     estimate, truth, start_ns = collected.estimate, collected.truth, int(collected.estimate.t_ns[0])
     estimate = estimate[np.asarray(np.isfinite(estimate.p).all(axis=1))]
     paths = _by_mode(estimate, gathered, start_ns)
@@ -43,7 +43,7 @@ def flight(collected: Collected, gathered: Gathered, outages: list[tuple[int, in
 
 
 def _by_mode(estimate: Trajectory, gathered: Gathered, start_ns: int) -> list[Path]:
-    """The way flown, a path for each stretch of one mode; a stretch begins where the last one ended."""
+    """A path for each stretch of one mode."""
     stretches = gathered.states.get("mode", [])
     few = estimate[_few(len(estimate))]
     if not stretches:
@@ -59,7 +59,7 @@ def _by_mode(estimate: Trajectory, gathered: Gathered, start_ns: int) -> list[Pa
 
 
 def _paths(name: str, colour: Colour, way: Trajectory, start_ns: int, *, dashed: bool = False) -> list[Path]:
-    """A line, or several where there is a hole in time: no line leads over what is not known."""
+    """Lines, broken at time gaps."""
     step = np.diff(way.t_ns)
     longest = max(_HOLE_NS, 3.0 * float(np.median(step))) if len(step) else _HOLE_NS
     holes = np.flatnonzero(step > longest) + 1
@@ -68,7 +68,7 @@ def _paths(name: str, colour: Colour, way: Trajectory, start_ns: int, *, dashed:
 
 
 def _ellipses(estimate: Trajectory, outages: list[tuple[int, int]], start_ns: int, view_m: float) -> list[Ellipse]:
-    """Even in time, and at the end of each outage; those that would fill the view are left out."""
+    """Even in time and at outage ends; those that fill the view are dropped."""
     even = np.linspace(int(estimate.t_ns[0]), int(estimate.t_ns[-1]), _ELLIPSES).astype(np.int64)
     wanted = np.concatenate([even, np.array([end - 1 for _, end in outages], np.int64)])
     rows = np.unique(np.clip(np.searchsorted(estimate.t_ns, wanted, side="right") - 1, 0, len(estimate) - 1))
@@ -88,7 +88,6 @@ def _ellipses(estimate: Trajectory, outages: list[tuple[int, int]], start_ns: in
 
 
 def _places(landmarks: Sequence[Landmark], used: Collection[str], box: tuple[float, float, float, float]) -> list[Place]:
-    """Outlines in view, those that were used first."""
     west, south, east, north = box
     reach = max(east - west, north - south)
     near = [
@@ -133,7 +132,6 @@ def _box(p: Array) -> tuple[float, float, float, float]:
 
 
 def _few(n: int) -> Indices:
-    """Rows to draw of n, the last one among them."""
     return np.unique(np.linspace(0, n - 1, min(n, _MOST_POINTS)).round().astype(np.intp)) if n else np.empty(0, np.intp)
 
 

@@ -1,4 +1,4 @@
-"""The page of a log without an estimate: the reason, rates and gaps, decisions on measurements."""
+"""Page of a log without estimate: reason, rates, gaps, decisions."""
 
 from collections import Counter
 from importlib import resources
@@ -13,7 +13,7 @@ _VERDICT = "no estimate"
 
 
 def page(name: str, missing: NoEstimateError, gathered: Gathered) -> str:
-    """The whole page; times count from the log's first message."""
+    """The page; times from the first message."""
     start_ns = min((t.first_ns for t in gathered.traffic.values()), default=0)
     torn = "<p>The log is truncated: read to its last whole record.</p>" if missing.torn else ""
     tables = "".join(map(web_page.table, (topics(gathered, start_ns), _measurements(missing), _remarks(gathered, start_ns))))
@@ -40,7 +40,6 @@ def topics(gathered: Gathered, start_ns: int) -> web_page.Table:
 
 
 def _measurements(missing: NoEstimateError) -> web_page.Table:
-    """By source and reason, with the words of one."""
     groups = Counter((aid.topic, aid.kind, str(aid.reason)) for aid in missing.aids)
     words = {(aid.topic, aid.kind, str(aid.reason)): aid.detail for aid in missing.aids if aid.detail}
     rows = [(*group, str(count), words.get(group, "")) for group, count in groups.most_common()]

@@ -1,4 +1,4 @@
-"""The sections of a report and the page they stand on."""
+"""Sections of a report and its page."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ _SCRIPTS: Final = ("tools.js", "time.js", "map.js", "page.js")
 
 
 class Shot(msgspec.Struct, frozen=True):
-    """An image of the gallery, as JPEG, and what is said of it."""
+    """A gallery image (JPEG) and its caption."""
 
     t_ns: int
     outcome: str
@@ -45,7 +45,7 @@ class Shot(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Illustrations:
-    """What only vision can add: the landmarks of its map, images, and a word on what is missing."""
+    """Additions of vision: landmarks, images, remark on what is missing."""
 
     landmarks: Sequence[Landmark] = ()
     shots: Sequence[Shot] = ()
@@ -80,13 +80,11 @@ class Material:
 
 
 class _Sheet:
-    """Charts as they are called for, by name."""
-
     def __init__(self) -> None:
         self.charts: dict[str, Chart] = {}
 
     def add(self, charts: dict[str, Chart], columns: str = "") -> str:
-        """Their places on the page; nothing where there are none."""
+        """Chart places on the page."""
         self.charts |= charts
         figures = "".join(f'<figure data-chart="{text(name)}"></figure>' for name in charts)
         return f'<div class="charts {columns}">{figures}</div>' if figures else ""
@@ -130,7 +128,7 @@ def page(m: Material) -> str:
 
 
 def _inert(json: str) -> str:
-    """JSON that no HTML parser takes for the end of its element."""
+    """JSON that cannot end its HTML element."""
     return json.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
@@ -147,7 +145,6 @@ def _faint(words: str) -> str:
 
 
 def _beside(*tables: web_page.Table) -> str:
-    """Tables in a row, as far as there is room; nothing where they have no rows."""
     filled = "".join(f"<div>{web_page.table(t)}</div>" for t in tables if t[2])
     return f'<div class="beside">{filled}</div>' if filled else ""
 
@@ -198,7 +195,6 @@ def _tiles(m: Material) -> list[tuple[str, str]]:
 
 
 def _errors(m: Material, sheet: _Sheet, c: Comparison) -> str:
-    """Errors and reported covariances, and whether they agree."""
     body = sheet.add(report_plots.reported_and_true(m.collected, m.gathered, c), "one")
     body += sheet.add(report_plots.errors(m.collected, c), "three") + sheet.add(report_plots.consistency(m.collected, c), "one")
     tables = [evaluation_table.accuracy(m.evaluation.accuracy)] if m.evaluation.accuracy else []
@@ -207,7 +203,6 @@ def _errors(m: Material, sheet: _Sheet, c: Comparison) -> str:
 
 
 def _integrity(m: Material, sheet: _Sheet, c: Comparison) -> str:
-    """Protection levels over time, against errors where there is a truth, and the states."""
     levels, found = m.collected.integrity, m.evaluation.integrity
     if found is None:
         return ""
@@ -229,7 +224,7 @@ def _measurements(m: Material, sheet: _Sheet) -> str:
 
 
 def _refused(m: Material) -> web_page.Table:
-    """Measurements that were not fused, by source and reason."""
+    """Measurements not fused, by source and reason."""
     groups: dict[tuple[str, str, str], list[int]] = {}
     for row, aid in enumerate(m.collected.aids):
         if aid.reason is not Reason.FUSED:
@@ -263,7 +258,6 @@ def _health(m: Material, sheet: _Sheet) -> str:
 
 
 def _remarks(m: Material) -> web_page.Table:
-    """Each remark once: when it was made first, and how often."""
     remarks: dict[str, list[int]] = {}
     for s in m.gathered.details:
         if s.state:
@@ -291,7 +285,7 @@ def _attachments(m: Material) -> str:
 
 
 def _readable(data: bytes) -> str:
-    """A text attachment, cut where it is long; nothing of what is no text."""
+    """A text attachment, truncated; nothing for binary."""
     try:
         words = data.decode()
     except UnicodeDecodeError:

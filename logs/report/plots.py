@@ -1,4 +1,4 @@
-"""The plots of a report: reported and true errors, states, biases, innovations, health, times."""
+"""Plots of a report: errors, states, biases, innovations, health, times."""
 
 from collections.abc import Iterable
 from statistics import mode
@@ -35,7 +35,7 @@ Charts = dict[str, Chart]
 
 
 def reported_and_true(collected: Collected, gathered: Gathered, c: Comparison) -> Charts:
-    """The 95 % radius over time, with the horizontal error where there is a truth, and the times of fixes."""
+    """95 % radius, horizontal error if a truth exists, fix times."""
     start_ns, parts = _start(collected), list[Line | Band | Points]()
     if gathered.signals is not None:
         parts.append(line("95 % radius", "blue", gathered.signals, 18, start_ns))
@@ -48,7 +48,7 @@ def reported_and_true(collected: Collected, gathered: Gathered, c: Comparison) -
 
 
 def errors(collected: Collected, c: Comparison) -> Charts:
-    """Error of each axis, true minus estimated, in its 95 % band."""
+    """Axis errors in 95 % bands."""
     if not len(c):
         return {}
     start_ns = _start(collected)
@@ -87,7 +87,7 @@ def errors(collected: Collected, c: Comparison) -> Charts:
 
 
 def states(collected: Collected, gathered: Gathered) -> Charts:
-    """Position, velocity, attitude with their 95 % bands, and the truth."""
+    """Position, velocity, attitude with 95 % bands, and truth."""
     signals, start_ns, truth = gathered.signals, _start(collected), None
     if signals is None:
         return {}
@@ -127,7 +127,7 @@ def biases(collected: Collected, gathered: Gathered) -> Charts:
 
 
 def innovations(collected: Collected) -> Charts:
-    """Of each source: innovations in standard deviations, squared and summed (NIS), and the test against the gate."""
+    """Normalised innovations, NIS and gate test by source."""
     by_source: dict[tuple[str, str], list[AidStatus]] = {}
     for aid in collected.aids:
         if aid.innovation:
@@ -143,7 +143,7 @@ def innovations(collected: Collected) -> Charts:
 
 
 def thinned(aids: list[AidStatus]) -> list[AidStatus]:
-    """At most MOST_POINTS: of equal parts of them the first and the one that fits worst."""
+    """At most MOST_POINTS: first and worst of equal parts."""
     return [aids[row] for row in _worst([aid.test_ratio for aid in aids])]
 
 
@@ -191,7 +191,7 @@ def _nis(title: str, group: list[AidStatus], start_ns: int) -> Chart:
 
 
 def consistency(collected: Collected, c: Comparison) -> Charts:
-    """NEES / 3 of position, velocity, attitude, with the interval that holds 95 % of consistent ones."""
+    """NEES / 3 of position, velocity, attitude, with 95 % interval."""
     if not len(c):
         return {}
     attitude, velocity = c.has_attitude, np.isfinite(c.v_error).all(axis=1)
@@ -225,7 +225,7 @@ def mode_and_sources(collected: Collected, gathered: Gathered) -> Charts:
 
 
 def health(collected: Collected, gathered: Gathered) -> Charts:
-    """Age of the last absolute fix, attitude sigma, number and weights of the hypotheses."""
+    """Age of the last absolute fix, attitude sigma, hypotheses and weights."""
     charts: Charts = {}
     if gathered.numbers is not None:
         for name, title, unit in (
@@ -241,7 +241,6 @@ def health(collected: Collected, gathered: Gathered) -> Charts:
 
 
 def _weights(numbers: Buckets, start_ns: int) -> TimeChart:
-    """Why a fix is refused: what else may be wrong, and how likely that is beside the estimate."""
     colours: tuple[Colour, ...] = ("vermillion", "orange", "green", "blue")
     parts: list[Line | Band | Points] = [
         line(name, colour, numbers, NUMBERS.index(name), start_ns) for name, colour in zip(WEIGHTS, colours, strict=True)
@@ -250,7 +249,7 @@ def _weights(numbers: Buckets, start_ns: int) -> TimeChart:
 
 
 def times(collected: Collected, gathered: Gathered) -> Charts:
-    """How old estimates and measurements are when they arrive, and how far estimates are apart."""
+    """Ages at arrival, spacing of estimates."""
     charts: Charts = {
         "latency": _bars("Age of estimates at arrival", gathered.latency.edges_s, gathered.latency.counts),
         "steps": _bars("From one estimate's stamp to the next", gathered.steps.edges_s, gathered.steps.counts),
@@ -265,7 +264,7 @@ def times(collected: Collected, gathered: Gathered) -> Charts:
 
 
 def vision(collected: Collected, gathered: Gathered) -> Charts:
-    """What came of each look, how well outlines fitted, and how long it took."""
+    """Vision results, fit quality, durations."""
     frames = [(t, frame.report) for t, frame in sorted(gathered.frames.items()) if frame.report]
     if not frames:
         return {}
@@ -300,7 +299,7 @@ def _bars(title: str, edges_s: Array, counts: Iterable[int], colour: Colour = "b
 
 
 def _joined(stays: list[Stay], span: float) -> list[Stay]:
-    """Those that begin within a span of each other as one, labelled by the first: on the plot they coincide."""
+    """Stays within a span joined, labelled by the first."""
     joined: list[Stay] = []
     for stay in stays:
         if joined and stay.start - joined[-1].start < span:
@@ -325,7 +324,6 @@ def _stays(stretches: list[Stretch], colours: dict[str, Colour], start_ns: int, 
 
 
 def _events(collected: Collected) -> list[Points]:
-    """When absolute fixes were used, and when they were not."""
     absolute = [a for a in collected.aids if a.kind in {"gnss_position", "pose"}]
     used = thinned([a for a in absolute if a.reason in {Reason.FUSED, Reason.ALIGNING}])
     others = thinned([a for a in absolute if a.reason not in {Reason.FUSED, Reason.ALIGNING}])
@@ -363,7 +361,7 @@ def _buckets(c: Comparison, values: Array) -> Buckets:
 
 
 def _nearest_turn(heading_deg: Array, collected: Collected) -> Array:
-    """The truth's heading, by whole turns nearest to that of the estimate as it is drawn."""
+    """Truth heading by whole turns nearest to the estimate's."""
     c = collected.estimate
     given = c.has_attitude
     drawn = np.unwrap(attitude_deg(c.q_wxyz[given])[:, 2], period=360.0)

@@ -1,4 +1,4 @@
-"""The Stanford plot as SVG: error against protection level, counts by colour; what lies below the diagonal is misleading."""
+"""Stanford plot as SVG: error against protection level, counts by colour."""
 
 from typing import Final
 
@@ -17,7 +17,7 @@ _SHADES: Final = ("#9ecae9", "#56b4e9", "#2a8fd0", "#0072b2", "#00497a", "#002a4
 
 
 def stanford(error: Array, level: Array, limit_m: float, title: str) -> str:
-    """Of errors (n,) and protection levels (n,) [m], logarithmic, values beyond the axes at the border; limit_m: inf: none."""
+    """Errors (n,), levels (n,) [m], logarithmic, clipped; limit_m: inf: none."""
     finite = level[np.isfinite(level)]
     most = max([10.0, *(finite.tolist()), *(error.tolist()), *([limit_m] if np.isfinite(limit_m) else [])])
     highest = next((d for d in _DECADES if d > most), _DECADES[-1])
@@ -71,7 +71,6 @@ def stanford(error: Array, level: Array, limit_m: float, title: str) -> str:
 
 
 def _counts(error: Array, level: Array, limit_m: float, x: float, y: float) -> list[str]:
-    """The four regions with their counts; without a limit (x, y at the border) two."""
     r = regions(error, level, limit_m, ())
     right, bottom = _LEFT + _SIDE, _OVER + _SIDE
     if not np.isfinite(limit_m):

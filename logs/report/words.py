@@ -1,4 +1,4 @@
-"""The flight in words: what it was, and a verdict with its reasons."""
+"""The flight in words: kind, verdict, reasons."""
 
 from collections.abc import Iterable
 from enum import IntEnum
@@ -27,7 +27,7 @@ _NOT_JUDGED: Final = {Reason.ALIGNING, Reason.THINNED, Reason.DUPLICATE, Reason.
 
 
 class Level(IntEnum):
-    """Of one finding, and of the flight: its worst."""
+    """Severity of a finding; the flight's is its worst."""
 
     FINE = 0
     WARNING = 1
@@ -84,7 +84,7 @@ def duration(s: float) -> str:
 
 
 def findings(e: Evaluation, collected: Collected, gathered: Gathered) -> list[Finding]:
-    """What speaks for the estimate and against it: streams at fault, then the worst first."""
+    """Findings: faulty streams, then worst first."""
     found = [
         *_consistency(e),
         *_behaviour(e, gathered),
@@ -97,7 +97,7 @@ def findings(e: Evaluation, collected: Collected, gathered: Gathered) -> list[Fi
 
 
 def at_fault(attachments: Iterable[Attachment]) -> list[Finding]:
-    """The streams at fault that a replay found; they come first, for the rest may follow from them."""
+    """Faulty streams found by a replay, first: others may follow from them."""
     data = next((a.data for a in attachments if a.name == FINDINGS_ATTACHMENT), b"[]")
     try:
         causes = msgspec.json.decode(data, type=list[Cause])
@@ -121,7 +121,7 @@ def _consistency(e: Evaluation) -> list[Finding]:
 
 
 def _overconfident(name: str, c: Consistency) -> list[Finding]:
-    """Where the mean squared error is beyond the covariance."""
+    """Mean squared error beyond the covariance."""
     if not c.n or np.isnan(c.mean) or c.mean <= max(c.band[1], 1.3):
         return []
     if np.isinf(c.mean):
@@ -151,7 +151,7 @@ def _behaviour(e: Evaluation, gathered: Gathered) -> list[Finding]:
 
 
 def _jumps(collected: Collected) -> list[Finding]:
-    """Jumps that matter; one within the 95 % radius before it is consistent."""
+    """Jumps beyond the 95 % radius before."""
     estimate, start_ns = collected.estimate, int(collected.estimate.t_ns[0])
     jumps = [(float(np.linalg.norm(j.delta_p)), j) for j in collected.resets]
     jumps = [(length_m, j) for length_m, j in jumps if length_m > _JUMP_M]
@@ -167,7 +167,7 @@ def _jumps(collected: Collected) -> list[Finding]:
 
 
 def refusals(aid: AidSummary) -> dict[str, int]:
-    """Measurements that were judged and not fused, by reason."""
+    """Judged, unfused measurements by reason."""
     return {reason: n for reason, n in aid.reasons.items() if reason not in _NOT_JUDGED and reason != Reason.FUSED}
 
 

@@ -1,8 +1,8 @@
-"""The report of a flight: position, uncertainty, reasons, faults, in one HTML file.
+"""The report of a flight in one HTML file.
 
     write(Path("estimate.mcap"), Path("report.html"))
 
-The log is read in one pass; beyond 50 000 estimates errors are of every 2nd, 4th, ..., plots keep all extremes.
+One pass; errors are thinned beyond 50 000 estimates, extremes kept.
 """
 
 from collections.abc import Callable
@@ -55,7 +55,7 @@ def write(
     illustrate: Illustrate = no_illustrations,
     progress: Callable[[float], None] | None = None,
 ) -> Page:
-    """Write the report of a log to `out`, also of one without an estimate. Raises LogError."""
+    """Write a log's report to `out`, also without an estimate. Raises LogError."""
     check_output(out, log)
     gathered = Gathered()
     try:
@@ -71,7 +71,7 @@ def write(
 def gather(
     log: Path, truth_topic: str = TRUTH_TOPIC, progress: Callable[[float], None] | None = None
 ) -> tuple[Collected, Gathered]:
-    """What a report is made of, in one pass over the log. Raises LogError."""
+    """Report data in one pass. Raises LogError."""
     gathered = Gathered()
     return _read(log, truth_topic, progress, gathered), gathered
 
@@ -92,7 +92,7 @@ def compose(
     without_odometry: Path | None = None,
     illustrate: Illustrate = no_illustrations,
 ) -> Written:
-    """Write the report of gathered data to `out`; without_odometry: the same flight replayed without it. Raises LogError."""
+    """Write gathered data's report to `out`; without_odometry: the same flight without. Raises LogError."""
     without = read(without_odometry).estimate if without_odometry else None
     evaluation = assess(collected, name, outage_s=outage_s, without_odometry=without)
     outages = find_outages(collected.aids, collected.health, collected.estimate, outage_s)["all"].spans

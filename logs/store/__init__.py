@@ -1,4 +1,4 @@
-"""MCAP files: read, torn ones too, and written.
+"""MCAP files, torn ones too: read and written.
 
 Begin with `reader` and `recorder`. May import logs.wire and models.
 """

@@ -1,4 +1,4 @@
-"""A chunk's content: decompressed to the size that it declares at most, where models.untrusted.limits allows that size."""
+"""Chunk content, decompressed to its declared size where models.untrusted.limits allows."""
 
 import zlib
 from io import BytesIO
@@ -11,8 +11,8 @@ from models.untrusted.limits import check
 
 
 def content_of(chunk: Chunk, allowed: int) -> bytes:
-    """The records of a chunk, checked against size and CRC; allowed: bytes. Raises TooLargeError, ValueError, or the
-    decompressor's own.
+    """Records of a chunk, size and CRC checked; allowed: bytes. Raises TooLargeError, ValueError, or the decompressor's
+    errors.
     """
     size = chunk.uncompressed_size
     check(size, len(chunk.data), allowed)

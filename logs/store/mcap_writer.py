@@ -1,4 +1,4 @@
-"""An MCAP writer for many small messages: LZ4 chunks, the bytes of mcap.writer.Writer at a third of its cost (mcap.dev/spec)."""
+"""MCAP writer for many small messages: LZ4, same bytes as mcap.writer.Writer at a third of its cost (mcap.dev/spec)."""
 
 import struct
 import zlib
@@ -34,7 +34,7 @@ _FOOTER: Final = struct.Struct("<BQQQ")  # opcode, length, summary start, summar
 
 
 class McapWriter:
-    """Writes to an open binary file: start(), then schemas, channels, messages, attachments and metadata, then finish()."""
+    """Writes to an open binary file: start(), schemas, channels, records, finish()."""
 
     def __init__(self, file: BinaryIO, chunk_bytes: int) -> None:
         self._file = file
@@ -69,7 +69,7 @@ class McapWriter:
         return channel.id
 
     def add_message(self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int = 0) -> None:
-        """Add a message; times 0 or later, ns."""
+        """Add a message; times >= 0, ns."""
         block = self._block
         head = _MESSAGE.pack(_MESSAGE_OPCODE, _MESSAGE_HEAD + len(data), channel, sequence, log_time, publish_time)
         entries = self._entries.get(channel)
@@ -93,12 +93,12 @@ class McapWriter:
         self._metadata.append(MetadataIndex(offset, self._put(Metadata(name, dict(data))), name))
 
     def flush(self) -> None:
-        """Close the open chunk, if it holds a message, and hand everything to the operating system."""
+        """Close the open chunk and flush to the operating system."""
         self._close_chunk()
         self._file.flush()
 
     def finish(self) -> None:
-        """Write the summary, index and statistics, and the file's end. The file stays open."""
+        """Write summary, index, statistics, end; the file stays open."""
         self._close_chunk()
         self._put(DataEnd(0))
         start, summary = self._file.tell(), RecordBuilder()
@@ -131,7 +131,7 @@ class McapWriter:
             self._close_chunk()
 
     def _close_chunk(self) -> None:
-        """Compress the open chunk and write it, its index behind it. Whatever the disk says, the next chunk begins empty."""
+        """Compress and write the open chunk with its index; the next begins empty in any case."""
         if not self._entries:
             return
         block, entries = bytes(self._block), self._entries

@@ -1,4 +1,4 @@
-"""The parts of a rotated log read as one: what was recorded into several files is one flight."""
+"""Parts of a rotated log read as one flight."""
 
 import re
 from collections import ChainMap
@@ -19,9 +19,9 @@ _RECOVERED: Final = ".recovered"  # before the suffix: what recovery could save 
 
 
 class PartsReader:
-    """A LogReader of all parts, in the order of their recording.
+    """A LogReader of all parts in order of recording.
 
-    source: a file, a folder with the parts of one flight, or files. Attributes are complete after the iteration. Raises LogError.
+    source: a file, a folder with one flight's parts, or files. Attributes are complete after iteration. Raises LogError.
     """
 
     def __init__(self, source: Path | Sequence[Path]) -> None:
@@ -49,7 +49,7 @@ class PartsReader:
 
     @property
     def torn(self) -> list[str]:
-        """The parts that lack their proper end, by name."""
+        """Names of parts without proper end."""
         return [name for name, part in zip(self._names, self._parts, strict=True) if part.torn]
 
     @property
@@ -59,23 +59,23 @@ class PartsReader:
 
     @property
     def fraction(self) -> float:
-        """How much of all files has been read, 0 to 1."""
+        """Fraction read of all files, 0 to 1."""
         read = sum(self._sizes[: self._current]) + self._parts[self._current].fraction * self._sizes[self._current]
         return read / sum(self._sizes)
 
     @property
     def attachments(self) -> list[Attachment]:
-        """The files kept in the log, in order; every part has them, equal ones are listed once."""
+        """Attachments in order, duplicates once."""
         return list(dict.fromkeys(a for part in self._parts for a in part.attachments))
 
     @property
     def imported_as(self) -> str:
-        """The kind of importer that wrote the log (ulog, dataflash ...), empty where none did."""
+        """Importer kind (ulog, dataflash ...), or empty."""
         return self._parts[0].metadata.get(METADATA_NAME, {}).get("import_kind", "")
 
     @property
     def missing(self) -> str:
-        """What the flight had before or between these parts, as "part 0", "parts 1, 2"; "": nothing that is known of."""
+        """Missing parts, as "part 0", "parts 1, 2"; "": none known."""
         there = {number for part in self._parts if (number := _number(part)) is not None}
         missing = [k for k in range(max(there, default=0)) if k not in there]
         if len(missing) > _FEW:
@@ -84,7 +84,7 @@ class PartsReader:
 
 
 def files_of(source: Path | Sequence[Path]) -> list[Path]:
-    """The files named, or those of the flight in a folder. Raises LogError where it holds none, or several flights."""
+    """Files named, or of the folder's flight. Raises LogError for none or several flights."""
     if not isinstance(source, Path):
         return list(source)
     if not source.is_dir():
@@ -101,18 +101,18 @@ def files_of(source: Path | Sequence[Path]) -> list[Path]:
 
 
 def flight_of(name: str) -> str:
-    """The flight of a part's name (NAME of NAME-000.mcap), else the name itself."""
+    """Flight of a part's name (NAME of NAME-000.mcap), else the name."""
     numbered = _NUMBERED.fullmatch(name)
     return numbered[1] if numbered else name
 
 
 def _without_copies(files: Sequence[Path]) -> list[Path]:
-    """Of a damaged part and what was recovered of it, which is the same again, only the first."""
+    """Of a damaged part and its recovered copy the first only."""
     return [f for f in files if not (f.stem.endswith(_RECOVERED) and f.with_stem(f.stem.removesuffix(_RECOVERED)) in files)]
 
 
 def _number(part: LogReader) -> int | None:
-    """Which part of its flight it is, as far as read; None: it does not say."""
+    """Number of a part in its flight, as far as read; None: unknown."""
     number = part.metadata.get(METADATA_NAME, {}).get(PART, "")
     return int(number) if number.isdecimal() else None
 

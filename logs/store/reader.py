@@ -1,4 +1,4 @@
-"""Reading a log: its CDR messages in the order they arrived, to the last whole record of a torn file."""
+"""CDR messages of a log in order of arrival, to the last whole record of a torn file."""
 
 import os
 import re
@@ -33,7 +33,7 @@ class Attachment(NamedTuple):
 
 
 def check_output(out: Path, *inputs: Path) -> None:
-    """Raises LogError, before any work, where `out` would overwrite one of the inputs or its folder is not there."""
+    """Raises LogError where `out` would overwrite an input or has no folder."""
     if not out.parent.is_dir():
         raise LogError(f"{out}: cannot be written ({out.parent} is no folder)")
     if out.exists() and any(source.exists() and out.samefile(source) for source in inputs):
@@ -41,10 +41,9 @@ def check_output(out: Path, *inputs: Path) -> None:
 
 
 class LogReader:
-    """Iterates over the messages of an MCAP log; a context manager. Raises LogError.
+    """Iterates over an MCAP log's messages; a context manager. Raises LogError.
 
-    Complete after the iteration: torn (no proper end), skipped_chunks (damaged places), attachments, metadata, foreign (topics
-    left out, not CDR).
+    Complete after iteration: torn, skipped_chunks (damage), attachments, metadata, foreign (topics not CDR).
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -68,7 +67,7 @@ class LogReader:
 
     @property
     def torn(self) -> bool:
-        """Whether the file lacks its proper end: the writer was cut off, or is still writing."""
+        """No proper end: the writer was cut off, or still writes."""
         return self._file.torn
 
     @property
@@ -93,11 +92,11 @@ class LogReader:
 
     @property
     def schemas(self) -> dict[str, Schema]:
-        """Definitions of the types read so far, by name; a Recorder that copies messages of foreign types needs them."""
+        """Definitions of types read so far, by name, for a Recorder."""
         return self._schemas
 
     def _names(self, channel_id: int) -> tuple[str, str, bytes] | None:
-        """Topic, type and completion for older versions of a channel's type; None: not CDR."""
+        """Topic, type, completion of older versions; None: not CDR."""
         channel = self._file.channels[channel_id]
         schema = self._file.schemas.get(channel.schema_id)
         if channel.message_encoding != "cdr" or schema is None:

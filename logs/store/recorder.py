@@ -1,4 +1,4 @@
-"""Writing a log: MCAP, LZ4, profile ros2, such that a killed process has lost at most 0.1 s of it."""
+"""Writing a log: MCAP, LZ4, profile ros2; a killed process loses at most 0.1 s."""
 
 import errno
 import os
@@ -42,11 +42,10 @@ _QOS: Final = """\
 
 
 class Recorder:
-    """Writes messages as they come; a context manager, whose end completes the file. Equal calls write equal bytes. Raises
-    LogError.
+    """Writes messages; a context manager that completes the file. Equal calls write equal bytes. Raises LogError.
 
-    metadata: of the record `landfix`; schemas: definitions of other types, asked for when such a message comes. An image has a
-    chunk of its own. A chunk is closed before it would span 0.1 s of log time; flush() serves a silent log.
+    metadata: of the record `landfix`; schemas: other types, on demand. An image has its own chunk; a chunk spans less than 0.1 s
+    of log time; flush() serves a silent log.
     """
 
     def __init__(
@@ -57,7 +56,7 @@ class Recorder:
         schemas: Mapping[str, Schema] | None = None,
         new_mode: int | None = None,
     ) -> None:
-        """new_mode: the file must not be there, not even as a link, and gets these permissions."""
+        """new_mode: the file must not exist, not even as a link, and gets this mode."""
         self.path = Path(path)
         self._on_disk = 0  # bytes
         self.truncated = False
@@ -117,13 +116,13 @@ class Recorder:
         self.flush()
 
     def flush(self) -> None:
-        """Hand all that was written to the operating system: it outlives this process, though not a power cut."""
+        """Hand all to the operating system: survives this process, not a power cut."""
         with self._one_line():
             self._hand_over()
         self._chunk_start_ns = None
 
     def _hand_over(self) -> None:
-        """To the operating system. Raises OSError where another program has shortened the file meanwhile."""
+        """Raises OSError where another program has shortened the file."""
         if os.fstat(self._file.fileno()).st_size < self._on_disk:
             self.truncated = True
             raise OSError(errno.ESTALE, "another program has shortened it")
@@ -133,7 +132,7 @@ class Recorder:
 
     @property
     def is_in_place(self) -> bool:
-        """Whether the path still leads to the file that is written: it may have been deleted, moved or replaced."""
+        """Whether the path still leads to the written file."""
         try:
             return os.path.samestat(self.path.stat(), os.fstat(self._file.fileno()))
         except OSError:

@@ -1,7 +1,7 @@
-"""Whole MCAP records of a file that may be cut or damaged, in file order, without an exception (mcap.dev/spec).
+"""Whole MCAP records of a damaged file, in file order, without exceptions (mcap.dev/spec).
 
-A chunk with a wrong CRC or beyond models.untrusted.limits is left out. Where the framing is damaged, reading continues at the
-next compressed chunk, up to _VAIN_RATIO times the file's size in vain.
+Chunks with a wrong CRC or beyond models.untrusted.limits are dropped. After damaged framing reading goes on at the next chunk, up
+to _VAIN_RATIO times the file's size in vain.
 """
 
 import contextlib
@@ -54,7 +54,7 @@ _NOTES: Final = {
 
 
 def _what(start: bytes, path: Path) -> str:
-    """What a file is that does not begin as MCAP does, and what to do with it."""
+    """What a file without MCAP's start is, and the remedy."""
     out = f"{shlex.quote(str(path))} -o {shlex.quote(path.stem + '.mcap')}"
     for magic, (name, kind) in _IMPORTED.items():
         if start.startswith(magic):
@@ -71,10 +71,10 @@ class LogError(Exception):
 
 
 class RecordFile:
-    """The messages of an MCAP file; attributes are complete after them.
+    """Messages of an MCAP file; attributes are complete after them.
 
-    profile: "" where lost; channels, schemas: by id; torn: no proper end; skipped_chunks: damaged places; orphans: messages of
-    a lost channel; expected: the writer's count, None where lost.
+    profile: "" if lost; channels, schemas: by id; torn: no proper end; skipped_chunks: damage; orphans: messages of a lost
+    channel; expected: writer's count or None.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -106,7 +106,7 @@ class RecordFile:
         return self._file.tell() / self.size
 
     def __iter__(self) -> Iterator[RawMessage]:
-        """The messages of every whole record, in file order. Raises LogError where there are none, and a chunk was too large."""
+        """Messages of whole records. Raises LogError for none and too large a chunk."""
         self._reset()
         count = 0
         for opcode, content, start in self._frames():
@@ -139,7 +139,7 @@ class RecordFile:
         self._records = 0
 
     def _frames(self) -> Iterator[tuple[int, bytes, int]]:
-        """(opcode, content, position) of each record up to the footer; over damage to the next chunk."""
+        """(opcode, content, position) up to the footer, across damage."""
         start = len(MAGIC)
         while True:
             self._file.seek(start)
@@ -162,7 +162,7 @@ class RecordFile:
             start = end
 
     def _next_chunk(self, start: int) -> int | None:
-        """Where, from start on, a whole compressed chunk may begin; None: nowhere, or enough has been tried."""
+        """Next possible compressed chunk; None: none, or too many tries."""
         if self._in_vain > _VAIN_RATIO * self.size:
             return None
         with mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ) as view:
@@ -204,7 +204,7 @@ class RecordFile:
             return []
 
     def _block(self, block: bytes) -> list[RawMessage]:
-        """The messages of a run of records; what else is among them is noted. Raises ValueError where they do not fit."""
+        """Messages of a run of records; others are noted. Raises ValueError."""
         messages: list[RawMessage] = []
         at, end = 0, len(block)
         frame, message, known = _FRAME.unpack_from, _MESSAGE.unpack_from, self.channels
@@ -245,7 +245,7 @@ class RecordFile:
                 pass
 
     def _skip(self, start: int) -> None:
-        """Count a damaged place; definitions lost with the first one are looked up in the summary, which repeats them."""
+        """Count damage; definitions lost with it come from the summary."""
         self._whole = start + 1
         self.skipped_chunks += 1
         if self.skipped_chunks == 1:

@@ -42,7 +42,7 @@ class RecoverSummary(msgspec.Struct, frozen=True):
 def recover(
     src: str | os.PathLike[str], dst: str | os.PathLike[str], progress: Callable[[float], None] | None = None
 ) -> RecoverSummary:
-    """Write the whole records of `src` to `dst`, which appears complete; progress: fraction read. Raises LogError."""
+    """Write whole records of `src` to `dst`, atomically; progress: fraction. Raises LogError."""
     source, target = Path(src), Path(dst)
     records = RecordFile(source)
     part = target.with_name(target.name + ".part")
@@ -101,7 +101,7 @@ def _keep(writer: McapWriter, attachments: Sequence[Attachment], metadata: Seque
 
 
 def _register(writer: McapWriter, records: RecordFile, channel_id: int, schemas: dict[int, int]) -> int:
-    """The id in the new file of a channel of the old one, its schema included."""
+    """New id of an old channel, schema included."""
     channel = records.channels[channel_id]
     if channel.schema_id not in schemas:
         schema = records.schemas.get(channel.schema_id)

@@ -1,4 +1,4 @@
-"""Messages as bytes: ROS 2 CDR, type texts, axes and stamps. Begin with `codec` and `schemas`.
+"""Messages as bytes: CDR, type texts, axes, stamps. Begin with `codec` and `schemas`.
 
 May import models.
 """

@@ -1,6 +1,6 @@
-"""Axes at the wire: map ENU <-> n NED, base_link FLU <-> body FRD, signed permutations that work both ways.
+"""Axes at the wire: map ENU <-> n NED, base_link FLU <-> body FRD, self-inverse permutations.
 
-Covariances are permuted, never multiplied: a NaN or "not given" stays in its element.
+Covariances are permuted, not multiplied: NaN and "not given" keep their element.
 """
 
 import math
@@ -21,24 +21,24 @@ _BODY_SIGN6: Final = np.concatenate([np.diag(FLU_FROM_FRD), np.diag(FLU_FROM_FRD
 
 
 def world(v: Vec3) -> Vec3:
-    """ENU <-> NED of a vector: (x, y, z) -> (y, x, -z)."""
+    """ENU <-> NED: (x, y, z) -> (y, x, -z)."""
     return v[1], v[0], -v[2]
 
 
 def body(v: Vec3) -> Vec3:
-    """FLU <-> FRD of a vector: (x, y, z) -> (x, -y, -z)."""
+    """FLU <-> FRD: (x, y, z) -> (x, -y, -z)."""
     return v[0], -v[1], -v[2]
 
 
 def attitude(q_wxyz: Quat) -> Quat:
-    """q_nb <-> q of base_link in map: q' = q(ENU <- NED) q q(FRD <- FLU), up to the sign; the norm is kept."""
+    """q_nb <-> base_link in map: q' = q(ENU <- NED) q q(FRD <- FLU), up to sign; norm kept."""
     w, x, y, z = q_wxyz
     s = math.sqrt(0.5)
     return s * (w + z), s * (x + y), s * (x - y), s * (w - z)
 
 
 def world_covariance(p: Array) -> Array:
-    """ENU <-> NED of a (3, 3) covariance, or of a (6, 6) one of position and rotation about the world's axes."""
+    """ENU <-> NED of a covariance (3, 3), or (6, 6) of position and rotation."""
     order, sign = (_ORDER, _SIGN) if len(p) == 3 else (_ORDER6, _SIGN6)
     permuted: Array = p[np.ix_(order, order)] * np.outer(sign, sign)
     return permuted
@@ -63,21 +63,19 @@ def body_attitude(q_wxyz: Quat) -> Quat:
 
 
 def body_rows(j: Array) -> Array:
-    """FLU <-> FRD of the rows of a (6, k) Jacobian of position and rotation along the body's axes."""
+    """FLU <-> FRD of rows of a (6, k) position and rotation Jacobian."""
     return np.asarray(_BODY_SIGN6[:, None] * j, dtype=np.float64)
 
 
 def body_covariance(p: Array) -> Array:
-    """FLU <-> FRD of a covariance of velocity and rate (6, 6), or of one of them (3, 3)."""
+    """FLU <-> FRD of a velocity and rate covariance (6, 6), or one (3, 3)."""
     sign = _BODY_SIGN6[: len(p)]
     turned: Array = p * np.outer(sign, sign)
     return turned
 
 
 class ImuMounting(msgspec.Struct, frozen=True):
-    """Axes of the IMU's driver, and its attitude in the body: x_b = Rz(yaw) Ry(pitch) Rx(roll) x_imu, both FRD; others: by
-    topic.
-    """
+    """IMU driver axes and attitude in the body: x_b = Rz(yaw) Ry(pitch) Rx(roll) x_imu, FRD; others: by topic."""
 
     axes: Literal["flu", "frd"] = "flu"
     roll_deg: float = 0.0
@@ -91,7 +89,7 @@ class ImuMounting(msgspec.Struct, frozen=True):
         return self if other is None else ImuMounting(self.axes, *other)
 
     def matrix(self) -> Array:
-        """R with x_b (FRD) = R x (as the driver writes it), (3, 3)."""
+        """R (3, 3): x_b (FRD) = R x (driver)."""
         R_bi = so3.matrix(so3.from_euler(*np.deg2rad([self.roll_deg, self.pitch_deg, self.yaw_deg])))
         return R_bi @ FLU_FROM_FRD if self.axes == "flu" else R_bi
 

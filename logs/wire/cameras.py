@@ -1,4 +1,4 @@
-"""The cameras for viewers: CameraInfo of each, and their pose on the body in /tf_static.
+"""Cameras for viewers: CameraInfo, and poses on the body in /tf_static.
 
     x_base = F (R_bk x_k + p_bk),   F = diag(1, -1, -1)  (FRD -> FLU);   R_br = R_bc R_rc^T,  p_br = p_bc - R_br t_rc
 
@@ -25,7 +25,7 @@ _PLUMB_BOB: Final = 5  # coefficients; more: rational_polynomial
 
 
 def encode_cameras(t_ns: int, rig: StereoRig) -> list[Encoded]:
-    """CameraInfo of both cameras, or of the one there is, and one message with their transforms."""
+    """CameraInfo of the cameras, and a message of their transforms."""
     R_br = rig.R_bc @ rig.R_rc.T
     cameras = [(LEFT_TOPIC, LEFT_FRAME, rig.left, rig.R_bc, rig.p_bc)]
     if not rig.one_camera:
@@ -36,7 +36,7 @@ def encode_cameras(t_ns: int, rig: StereoRig) -> list[Encoded]:
 
 
 def is_own_static(data: bytes) -> bool:
-    """Whether a /tf_static message is our own: base_link -> left_camera, and right_camera where there are two."""
+    """Whether a /tf_static message is ours: base_link -> left_camera[, right_camera]."""
     try:
         transforms = STORE.deserialize_cdr(data, schemas.TF).transforms  # type: ignore[attr-defined]
     except Exception:  # whatever bytes from outside trip over, they are not ours

@@ -1,6 +1,6 @@
-"""Wire <-> records: ROS 2 CDR in ENU / FLU outside, models.messages in NED / FRD inside.
+"""Wire <-> records: CDR in ENU / FLU outside, models.messages in NED / FRD inside.
 
-header.stamp is validity; arrival comes from the receiver. Bytes of another type become an Unusable; strange values pass through.
+header.stamp is validity; arrival is the receiver's. Other types become Unusable; strange values pass.
 """
 
 from logs.wire.axes import ImuMounting

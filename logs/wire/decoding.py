@@ -1,4 +1,4 @@
-"""Wire -> records: what arrives under the configured topics, turned into NED / FRD."""
+"""Wire to records: messages of configured topics, in NED / FRD."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -67,12 +67,12 @@ class Topics(SensorTopics, frozen=True):
 
     @classmethod
     def of(cls, inputs: Mapping[str, str | Sequence[str]]) -> Self:
-        """From the config's [inputs]: a topic or a list of topics each, defaults for those left out."""
+        """From [inputs]: a topic or list each, defaults elsewhere."""
         return cls(**{name: (given,) if isinstance(given, str) else tuple(given) for name, given in inputs.items()})
 
 
 class Odometry(msgspec.Struct, frozen=True, eq=False):
-    """A nav_msgs/msg/Odometry: pose, velocity in n, rate in b; pose_covariance, twist_covariance: (6, 6), along n and b."""
+    """nav_msgs/msg/Odometry: pose, velocity in n, rate in b; covariances (6, 6) along n and b."""
 
     t_ns: int
     p_n: Vec3
@@ -87,7 +87,7 @@ _Convert: TypeAlias = Callable[[str, Any, int], Input]
 
 
 class Decoder:
-    """Turns arriving messages into inputs of the estimator. Raises ValueError when one topic is to feed two inputs."""
+    """Messages to inputs. Raises ValueError where a topic feeds two inputs."""
 
     def __init__(self, topics: Topics | None = None, mounting: ImuMounting | None = None) -> None:
         topics, mounting = topics or Topics(), mounting or ImuMounting()
@@ -110,7 +110,7 @@ class Decoder:
         self._route((CHECKPOINT_TOPIC,), schemas.CHECKPOINT, _checkpoint)
 
     def decode(self, topic: str, schema: str, data: bytes, arrived_ns: int) -> Input | None:
-        """The input a message is; None for a topic that feeds none; Unusable for torn or foreign bytes. Never raises."""
+        """The input; None for a topic that feeds none; Unusable for torn or foreign bytes. Never raises."""
         known = self._known.get(topic)
         if known is None:
             return None
@@ -148,7 +148,7 @@ class Decoder:
 
 
 def decode_odometry(data: bytes) -> Odometry:
-    """Our own output, or a truth, read back into NED / FRD. Raises ValueError for bytes that are no Odometry."""
+    """Our output or a truth in NED / FRD. Raises ValueError."""
     message = _deserialize(data, schemas.ODOMETRY)
     p_n, q_nb_wxyz, pose_covariance = _pose(message.pose)
     v_b = axes.body(_vector(message.twist.twist.linear))
@@ -164,7 +164,7 @@ def decode_odometry(data: bytes) -> Odometry:
 
 
 def decode_aid_status(data: bytes) -> AidStatus:
-    """Our own /landfix/aid_status read back. Raises ValueError for bytes that are no AidStatus."""
+    """Our /landfix/aid_status. Raises ValueError."""
     message = _deserialize(data, schemas.AID_STATUS)
     return AidStatus(
         t_ns=_t_ns(message.header.stamp),
@@ -205,7 +205,7 @@ def decode_odometry_request(data: bytes, arrived_ns: int) -> OdometryRequest:
 
 
 def is_own_transform(data: bytes) -> bool:
-    """Whether a /tf message is map -> base_link alone, one of our own outputs."""
+    """Whether a /tf message is ours: map -> base_link alone."""
     try:
         (transform,) = _deserialize(data, schemas.TF).transforms
     except ValueError:  # no TFMessage, or not of one transform
@@ -236,7 +236,7 @@ def _gnss(topic: str, message: Any, arrived_ns: int) -> GnssFix:
 
 
 def _gnss_velocity(topic: str, message: Any, arrived_ns: int) -> GnssVelocity:
-    """An all-zero covariance, or -1 in its first element (REP-145's sign for unknown), is none."""
+    """Covariance all zero, or -1 first (REP-145): not given."""
     covariance = message.twist.covariance.reshape(6, 6)[:3, :3]
     known = covariance.any() and covariance[0, 0] != -1.0
     return GnssVelocity(
@@ -253,7 +253,7 @@ def _reading(kind: str, sensor: Sensor, topic: str, message: Any, arrived_ns: in
 
 
 def _odometry_pose(topic: str, message: Any, arrived_ns: int) -> OdometryPose:
-    """Of an odometry the pose: its covariance is that of all its past, its velocity adds nothing to the poses."""
+    """The pose; its covariance is of all its past, the velocity redundant."""
     p_o, q_ob_wxyz, _ = _pose(message.pose)
     return OdometryPose(_t_ns(message.header.stamp), arrived_ns, p_o, q_ob_wxyz, message.header.frame_id, topic)
 
@@ -334,7 +334,7 @@ def _checkpoint(topic: str, message: Any, arrived_ns: int) -> Checkpoint:
 
 
 def _pose(message: Any) -> tuple[Vec3, Quat, Array]:
-    """p_n, q_nb_wxyz and the (6, 6) covariance in the axes of n of a geometry_msgs/msg/PoseWithCovariance in map."""
+    """p_n, q_nb_wxyz and covariance (6, 6) along n of a PoseWithCovariance in map."""
     q = message.pose.orientation
     covariance = axes.world_covariance(message.covariance.reshape(6, 6))
     return axes.world(_vector(message.pose.position)), axes.attitude((q.w, q.x, q.y, q.z)), covariance

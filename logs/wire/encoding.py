@@ -1,4 +1,4 @@
-"""Records -> wire: what the estimator publishes, and what simulator and importers write for it to read."""
+"""Records to wire: outputs, and simulated or imported inputs."""
 
 from typing import Any, Final, NamedTuple
 
@@ -93,7 +93,7 @@ def encode(output: Output) -> list[Encoded]:
 
 
 def encode_slow(estimate: Estimate) -> list[Encoded]:
-    """The estimate for viewers: PoseStamped, TF and, where the origin is known, NavSatFix. At most 30 Hz, says the caller."""
+    """For viewers: PoseStamped, TF, and NavSatFix with an origin; at most 30 Hz, by the caller."""
     p_n, q = vec3(estimate.nav[X.P]), estimate.nav[X.Q]
     if origin := Origin.of(estimate.origin):
         lla = origin.to_geodetic(p_n)
@@ -113,12 +113,12 @@ def encode_slow(estimate: Estimate) -> list[Encoded]:
 
 
 def static_transform(t_ns: int, child: str, translation: Vec3, q_wxyz: Quat) -> Any:
-    """A geometry_msgs/msg/TransformStamped base_link -> child, both in FLU or the child's own axes."""
+    """TransformStamped base_link -> child, FLU or the child's axes."""
     return _transform(header_of(t_ns, _BODY), child, translation, _quaternion(q_wxyz))
 
 
 def encode_truth(t_ns: int, p_n: Array | Vec3, v_n: Array | Vec3, q_nb_wxyz: Array | Quat) -> Encoded:
-    """A true pose and velocity on /truth, covariances zero; the estimator never reads it."""
+    """True pose and velocity on /truth, zero covariances; never read by the estimator."""
     nav = np.zeros(X.SIZE)
     nav[X.P], nav[X.V], nav[X.Q] = p_n, v_n, q_nb_wxyz
     values = cdr_fast.odometry_values(nav, np.zeros((E.SIZE, E.SIZE)), 0.0, 0.0, 0.0)
@@ -126,7 +126,7 @@ def encode_truth(t_ns: int, p_n: Array | Vec3, v_n: Array | Vec3, q_nb_wxyz: Arr
 
 
 def encode_input(message: Input, mounting: ImuMounting | None = None) -> Encoded:
-    """A measurement as its sensor sends it; a PoseFix has the sum of its covariances. Raises ValueError for an Unusable."""
+    """A measurement as its sensor sends it; a PoseFix with summed covariances. Raises ValueError for an Unusable."""
     match message:
         case ImuSample():
             return packed(message.topic, schemas.IMU, **_imu(message, (mounting or ImuMounting()).of(message.topic)))
@@ -180,7 +180,7 @@ def _aid_status(status: AidStatus) -> dict[str, Any]:
 
 
 def _diagnostic(health: Health) -> Any:
-    """Every field as a key and its value; of dictionaries and records every entry, as "sources /imu" or "last_gnss age_s"."""
+    """Fields as keys and values, nested as "sources /imu" or "last_gnss age_s"."""
     values: list[Any] = []
     for field, value in msgspec.structs.asdict(health).items():
         if field in {"t_ns", "arrived_ns"}:
@@ -237,7 +237,7 @@ def _vision_request(request: VisionRequest) -> dict[str, Any]:
 
 
 def _imu(sample: ImuSample, mounting: ImuMounting) -> dict[str, Any]:
-    """Orientation is not measured: -1 says so (sensor_msgs/msg/Imu); zero covariances are unknown ones."""
+    """No orientation: -1 (sensor_msgs/msg/Imu); zero covariances: unknown."""
     not_measured = np.zeros(9)
     not_measured[0] = -1.0
     R_ib = mounting.matrix().T
@@ -312,7 +312,7 @@ def _odometry_delta(delta: OdometryDelta) -> dict[str, Any]:
 
 
 def _odometry_pose(reading: OdometryPose) -> dict[str, Any]:
-    """Neither a covariance, which is of no use for differences, nor a velocity."""
+    """Without covariance (useless for differences) and velocity."""
     twist = _new("geometry_msgs/msg/Twist", linear=_vector((0.0, 0.0, 0.0)), angular=_vector((0.0, 0.0, 0.0)))
     return {
         "header": header_of(reading.t_ns, reading.frame),
@@ -337,7 +337,7 @@ def _checkpoint(checkpoint: Checkpoint) -> dict[str, Any]:
 def _nav_sat_fix(
     topic: str, t_ns: int, frame: str, lla: Vec3, covariance_n: Array | None, status: int, state: int = 0
 ) -> Encoded:
-    """state: ReceiverState, in the top four bits of service, where no constellation is."""
+    """state: ReceiverState, in service's top four bits, unused by constellations."""
     covariance = np.zeros((3, 3)) if covariance_n is None else axes.world_covariance(covariance_n)
     return packed(
         topic,

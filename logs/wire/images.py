@@ -1,6 +1,4 @@
-"""Images to and from the wire, the one place where an image file is decoded; inside (H, W) grey of 8 or 16 bit, or (H, W, 3)
-BGR.
-"""
+"""Images to and from the wire; inside (H, W) grey, 8 or 16 bit, or (H, W, 3) BGR; the only image decoder."""
 
 from typing import Any, Final, TypeAlias
 
@@ -32,7 +30,7 @@ class ImageError(Exception):
 
 
 def encode_image(t_ns: int, image: Pixels, topic: str, *, jpeg_quality: int | None = None, frame: str = "camera") -> Encoded:
-    """An image taken at t_ns by the camera `frame`: its pixels, or a JPEG file of that quality (1 to 100)."""
+    """An image of camera `frame` at t_ns: pixels, or JPEG of that quality (1 to 100)."""
     header = header_of(t_ns, frame)
     if jpeg_quality is not None:
         _, file = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality])
@@ -55,7 +53,7 @@ def encode_image(t_ns: int, image: Pixels, topic: str, *, jpeg_quality: int | No
 
 
 def decode_image(schema: str, data: bytes, most_pixels: int = CAMERA_PIXELS) -> Pixels:
-    """The image in an Image or CompressedImage. Raises ImageError, before it is decoded where it has more pixels."""
+    """Image of an Image or CompressedImage. Raises ImageError, before decoding if too large."""
     try:
         message: Any = STORE.deserialize_cdr(data, schema)
         return _unpacked(message) if schema == schemas.IMAGE else decode_file(message.data, most_pixels)
@@ -83,7 +81,7 @@ def _unpacked(message: Any) -> Pixels:
 
 
 def decode_file(content: bytes | NDArray[np.uint8], most_pixels: int = CAMERA_PIXELS) -> Pixels:
-    """The image in a JPEG, PNG, TIFF, BMP, WebP or PNM file, not turned by what its EXIF says. Raises ImageError."""
+    """Image of a JPEG, PNG, TIFF, BMP, WebP or PNM file, EXIF orientation ignored. Raises ImageError."""
     data = np.frombuffer(content, np.uint8)
     header = image_header(data.data)
     if header is None:

@@ -1,12 +1,12 @@
-"""Increments of odometry from short steps of a camera (dp, dR), of flow over a range, and the speed of wheels.
+"""Odometry increments of camera steps (dp, dR), optical flow and wheels.
 
-A camera's step is seen in the body at its end, an increment in that at its beginning, dR = exp(a):   dp = dR p
+A step is in the body at its end, an increment at its beginning, dR = exp(a):   dp = dR p
 
-Flow f and gyroscope turn g, rad about x and y of a camera that looks along the body's z, at the range r:
+Flow f and turn g, rad about x and y of a camera along the body's z, range r:
 
     dp = exp(g / 2) (r (f_y - g_y), -r (f_x - g_x), 0)         (x and y given; an error of r is one of scale, `systematic`)
 
-Steps are chained to increments of a least duration. Wheels, s rolled forward, in the middle between two counts:
+Steps are chained to a least duration. Wheels, rolled s, between counts:
 
     v((t_0 + t_1) / 2) = mean over the wheels of (s_1 - s_0) / (t_1 - t_0)
 """
@@ -45,7 +45,7 @@ class Range(NamedTuple):
 
 
 def measured_range(own_m: float, finder_m: float) -> Range | None:
-    """Of the flow's own message, else of a range finder at that time; nan, infinite, too close: none."""
+    """The message's range, else a range finder's; nan, infinite, too close: none."""
     for metres, kind in ((own_m, "flow"), (finder_m, "finder")):
         if LEAST_RANGE_M < metres < math.inf:
             return Range(metres, _FINDER_SHARE * metres, kind)
@@ -53,7 +53,7 @@ def measured_range(own_m: float, finder_m: float) -> Range | None:
 
 
 class Step(NamedTuple):
-    """dp (3,) m and q (4,) of the body at t_ns, seen in that at t0_ns; variance: of dp_x and dp_y, m^2."""
+    """dp (3,) m, q (4,) from t0_ns to t_ns in the body at t0_ns; variance: of dp_x, dp_y, m^2."""
 
     t0_ns: int
     t_ns: int
@@ -63,7 +63,7 @@ class Step(NamedTuple):
 
 
 class Chain:
-    """Joins steps that follow each other, and puts out increments that neither overlap nor leave a step out."""
+    """Joins steps into consecutive increments without gaps."""
 
     def __init__(self, least_ns: int) -> None:
         self._least_ns = least_ns
@@ -92,7 +92,7 @@ class CameraSteps:
         self._chain, self._topic = Chain(_CAMERA_NS), topic
 
     def add(self, t_ns: int, dt_ns: int, turn: Array, moved: Array) -> list[OdometryDelta]:
-        """turn (3,) rad, moved (3,) m, over the dt_ns before t_ns. Raises ValueError for what is no motion."""
+        """turn (3,) rad, moved (3,) m over dt_ns before t_ns. Raises ValueError."""
         if not (np.isfinite(turn).all() and np.isfinite(moved).all() and 0 < dt_ns <= _LONGEST_NS):
             raise ValueError("is no motion over a time")
         q = so3.quat_exp(turn)
@@ -107,7 +107,7 @@ class FlowSteps:
         self._chain, self._topic, self._epoch, self._range_kind = Chain(_FLOW_NS), topic, 0, ""
 
     def add(self, t_ns: int, dt_ns: int, seen: Array, turn: Array, at: Range | None) -> list[OdometryDelta]:
-        """seen (2,) and turn (3,) rad, over the dt_ns before t_ns. Raises ValueError for what is no flow or has no range."""
+        """seen (2,), turn (3,) rad over dt_ns before t_ns. Raises ValueError."""
         if not (np.isfinite(turn).all() and np.isfinite(seen).all() and 0 < dt_ns <= _LONGEST_NS):
             raise ValueError("is no flow over a time; a gyroscope's turn is needed, too")
         if at is None:
@@ -126,21 +126,21 @@ class FlowSteps:
 
 
 def _delta(step: Step, covariance: Array, share: float | None, epoch: int, topic: str) -> OdometryDelta:
-    """share: 1-sigma of the scale of x and y, or as [odometry] has it."""
+    """share: 1-sigma scale of x and y, or [odometry]'s."""
     systematic = None if share is None else np.array([[share * x] for x in (*step.dp[:2].tolist(), 0.0, 0.0, 0.0, 0.0)])
     w, x, y, z = step.q.tolist()
     return OdometryDelta(step.t_ns, step.t_ns, step.t0_ns, vec3(step.dp), (w, x, y, z), covariance, systematic, epoch, topic)
 
 
 class Wheels:
-    """Velocities forward of a vehicle's wheels, on one topic; right and down are not given (non-holonomic: [velocity_body])."""
+    """Forward velocities of wheels on a topic; right, down not given."""
 
     def __init__(self, topic: str) -> None:
         self._topic = topic
         self._before: tuple[int, tuple[float, ...]] | None = None
 
     def add(self, t_ns: int, metres: Sequence[float]) -> list[Reading]:
-        """metres: of each wheel since its start, at t_ns; nan: lost. Raises ValueError."""
+        """metres: each wheel's total at t_ns; nan: lost. Raises ValueError."""
         now = tuple(metres)
         if any(abs(way) > _FARTHEST_M for way in now):
             raise ValueError("a wheel's distance is none")

@@ -30,7 +30,7 @@ def fields(integrity: Integrity) -> dict[str, Any]:
 
 
 def decode_integrity(data: bytes, arrived_ns: int = 0) -> Integrity:
-    """Our own /landfix/integrity read back. Raises ValueError for bytes that are no Integrity."""
+    """Our /landfix/integrity. Raises ValueError."""
     try:
         m: Any = STORE.deserialize_cdr(data, schemas.INTEGRITY)
         t_ns, state = int(m.header.stamp.sec) * 1_000_000_000 + int(m.header.stamp.nanosec), Alert(m.state)

@@ -1,4 +1,4 @@
-"""Landmarks for viewers: a MarkerArray in map of those in use, the others, and the names; it replaces the one before."""
+"""Landmarks for viewers: a MarkerArray in map: used, others, names; replaces the last."""
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import Any, Final
@@ -25,7 +25,7 @@ _NO_POINT: Final = (0.0, 0.0, 0.0)
 
 
 def encode_landmarks(t_ns: int, landmarks: Sequence[Landmark], used: Collection[str]) -> Encoded:
-    """The landmarks as prisms of lines with their names; used: ids of those that the newest fix rests on."""
+    """Landmarks as line prisms with names; used: ids of the newest fix."""
     inside = [mark for mark in landmarks if mark.id in used]
     others = [mark for mark in landmarks if mark.id not in used]
     markers = [
@@ -38,7 +38,7 @@ def encode_landmarks(t_ns: int, landmarks: Sequence[Landmark], used: Collection[
 
 
 def edges(mark: Landmark) -> Iterator[tuple[Vec3, Vec3]]:
-    """Both ends, in NED, of roof edges, base edges and uprights; of a flat one the outline alone."""
+    """NED ends of roof edges, base edges, uprights; flat ones: outline only."""
     corners = [(float(north), float(east)) for north, east in mark.outline_n]
     for (n_a, e_a), (n_b, e_b) in zip(corners, [*corners[1:], corners[0]], strict=True):
         yield (n_a, e_a, mark.roof_d), (n_b, e_b, mark.roof_d)

@@ -1,6 +1,6 @@
-"""Message types on the wire: ROS 2 Humble's and landfix_msgs, whose .msg texts stand here.
+"""Wire types: ROS 2 Humble's and landfix_msgs, defined here.
 
-A schema: the ros2msg text with its dependencies, and its RIHS01 hash (REP-2011).
+A schema: ros2msg text with dependencies, RIHS01 hash (REP-2011).
 """
 
 from functools import cache
@@ -206,7 +206,7 @@ _LATER: Final = {LANDMARK_FIX: (b"directions", 8)}  # a field that a type's firs
 
 
 def missing_end(name: str, text: bytes) -> bytes:
-    """What a message of a type once defined by `text` lacks at its end today: empty sequences, or nothing."""
+    """What a message of older definition `text` lacks at its end: empty sequences, or nothing."""
     field, size = _LATER.get(name, (b"", 0))
     return bytes(size) if size and field not in text else b""
 
@@ -218,7 +218,7 @@ def is_known(name: str) -> bool:
 
 @cache
 def schema_text(name: str) -> str:
-    """The ros2msg text of a type with its dependencies; our own types keep their comments. KeyError: unknown type."""
+    """ros2msg text with dependencies; ours with comments. KeyError: unknown."""
     if not is_known(name):
         raise KeyError(name)
     text, _ = STORE.generate_msgdef(name, ros_version=2)
@@ -229,7 +229,7 @@ def schema_text(name: str) -> str:
 
 @cache
 def type_hash(name: str) -> str:
-    """RIHS01 hash of a type, such as RIHS01_3cc97dc7... of nav_msgs/msg/Odometry. KeyError: unknown type."""
+    """RIHS01 hash, as RIHS01_3cc97dc7... of nav_msgs/msg/Odometry. KeyError: unknown."""
     if not is_known(name):
         raise KeyError(name)
     return STORE.hash_rihs01(name)

@@ -1,6 +1,6 @@
-"""The optional sensors on the wire: topic, ROS 2 type and fields of the reading; SI, vectors FLU <-> FRD.
+"""Optional sensors on the wire: topic, ROS 2 type, fields; SI, FLU <-> FRD.
 
-An entry is a line in SensorTopics and one in SENSORS.
+A sensor is a line in SensorTopics and one in SENSORS.
 """
 
 import math
@@ -40,7 +40,7 @@ class SensorTopics(msgspec.Struct, frozen=True):
 
 
 class Sensor(NamedTuple):
-    """topic: where importers and simulation write it; values: of a message, with covariance; fields: of a reading's message."""
+    """topic: of importers and simulation; values: of a message, with covariance; fields: of a reading's message."""
 
     topic: str
     schema: str
@@ -49,7 +49,7 @@ class Sensor(NamedTuple):
 
 
 def _known(covariance: Any, size: int) -> Array | None:
-    """The leading (size, size) of a ROS covariance; None: all zero, or -1 in its first element."""
+    """Leading (size, size) of a ROS covariance; None: all zero, or -1 first."""
     full = np.asarray(covariance).reshape(math.isqrt(len(covariance)), -1)[:size, :size]
     return full if full.any() and full[0, 0] != -1.0 else None
 
@@ -72,7 +72,7 @@ def _field_message(reading: Reading) -> dict[str, Any]:
 
 
 def _azimuth(message: Any) -> _Values:
-    """Of the orientation of an Imu message, ENU, as drivers of receivers with two antennas write it; its variance about z."""
+    """Azimuth and variance of an Imu's orientation (ENU), as two-antenna drivers write it."""
     q, covariance = message.orientation, _known(message.orientation_covariance, 3)
     yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
     return (math.remainder(0.5 * math.pi - yaw, 2.0 * math.pi),), None if covariance is None else covariance[2:, 2:]
@@ -122,7 +122,7 @@ def _airspeed_message(reading: Reading) -> dict[str, Any]:
 
 
 def _range(message: Any) -> _Values:
-    """REP 117: infinite is out of range; so is what is outside the limits of the message."""
+    """Infinite (REP 117) or beyond the limits: out of range."""
     is_within = message.min_range <= message.range <= message.max_range
     return (message.range if is_within else math.inf,), None
 

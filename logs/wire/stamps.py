@@ -9,7 +9,7 @@ _HEAD: Final = 4  # bytes of encapsulation; a std_msgs/Header begins right behin
 
 
 def stamp_of(data: bytes) -> int | None:
-    """header.stamp of a CDR message that begins with a std_msgs/Header, ns; None where there is none."""
+    """header.stamp of a CDR message with a leading Header, ns; None without."""
     if len(data) < _HEAD + _LITTLE.size:
         return None
     sec, nanosec = (_LITTLE if data[1] & 1 else _BIG).unpack_from(data, _HEAD)

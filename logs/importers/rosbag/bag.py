@@ -28,7 +28,7 @@ _FAILURES: Final = (rosbag1.ReaderError, rosbag2.ReaderError, apsw.Error, OSErro
 
 
 class Topic(NamedTuple):
-    """A topic of a bag with its type; readable: its messages come out of the bag as CDR."""
+    """A topic with its type; readable: as CDR."""
 
     name: str
     schema: str
@@ -36,7 +36,7 @@ class Topic(NamedTuple):
 
 
 class Bag:
-    """A recording. `notes` says what was damaged, once the messages are through. Raises LogError."""
+    """A recording; `notes` reports damage after iteration. Raises LogError."""
 
     def __init__(self, source: Path) -> None:
         self.files = _files(source)
@@ -48,11 +48,11 @@ class Bag:
 
     @property
     def fraction(self) -> float:
-        """How much has been read, 0 to 1."""
+        """Fraction read, 0 to 1."""
         return (self._done + self._share) / len(self.files)
 
     def messages(self, wanted: frozenset[str] | None = None) -> Iterator[Record]:
-        """The messages in the order of their recording; wanted: of these topics only. Types that are not known are left out."""
+        """Messages in order; wanted: topics; unknown types are dropped."""
         read = {".mcap": self._mcap, ".db3": self._sqlite, ".bag": self._ros1}[self.kind]
         self.notes = []
         for done, path in enumerate(self.files):
@@ -81,7 +81,7 @@ class Bag:
                 self._note(path, "torn" if reader.torn else "damaged in places")
 
     def _sqlite(self, path: Path) -> Iterator[Record]:
-        """A file of its own where there is no metadata.yaml, which a recorder that was killed does not write."""
+        """A single file without metadata.yaml, as of a killed recorder."""
         metadata = path.with_name("metadata.yaml")
         with_metadata = metadata.exists()
         if with_metadata and _COMPRESSED.search(metadata.read_text(errors="replace")):
@@ -129,7 +129,7 @@ class Bag:
             reader.close()
 
     def _converted(self, path: Path, messages: Iterator[tuple[str, str, int, bytes, float]]) -> Iterator[Record]:
-        """ROS 1's bytes as CDR; a type that only has a name of ROS 2's is refused."""
+        """ROS 1 bytes as CDR; a type that only shares a ROS 2 name is refused."""
         broken: set[str] = set()
         for topic, schema, t_ns, raw, share in messages:
             self._share = share
@@ -146,7 +146,6 @@ class Bag:
 
 
 def _bound(reader: rosbag1.Reader, path: Path) -> None:
-    """Let the reader unpack no more than is allowed."""
     unpack = unindexed.Unpacker(path.stat().st_size)
     kinds = {decompressor: kind for kind, decompressor in rosbag1.reader.decompressors.items()}
     for at, chunk in reader.chunks.items():
@@ -166,7 +165,6 @@ def _unreadable(path: Path, why: Exception) -> LogError:
 
 
 def _files(source: Path) -> list[Path]:
-    """The files of one recording: the one that is named, or those of one storage in the folder."""
     if not source.is_dir():
         if source.suffix not in (*_STORAGES, _ACTIVE):
             raise LogError(f"{source}: is no bag by its name; a bag is NAME.mcap, NAME.db3, NAME.bag or a folder of them")

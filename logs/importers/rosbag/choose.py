@@ -1,4 +1,4 @@
-"""The topic of a bag for each input, by type and content; one in doubt is not used, and its row gives the reason."""
+"""Topics of a bag for each input, by type and content; doubtful ones are not used."""
 
 import re
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ _FRD: Final = np.array([1.0, -1.0, -1.0])
 
 @dataclass(frozen=True)
 class Choice:
-    """rows: of all topics; axes: of the IMU, "flu" or "frd"; mounting_deg: its roll and pitch; notes: for a person."""
+    """rows: of all topics; axes: "flu" or "frd"; mounting_deg: roll, pitch; notes."""
 
     rows: list[TopicRow]
     axes: str
@@ -43,13 +43,13 @@ class Choice:
 
     @property
     def offered(self) -> list[str]:
-        """Lines of comment for the configuration: what is in the log and feeds nothing."""
+        """Comment lines for the configuration: unused topics."""
         unused = (row for row in self.rows if row.copied and not row.use)
         return [f"# {row.topic}: {row.remark.removeprefix('in the log; ')}" for row in unused]
 
 
 def choose(found: Mapping[str, Survey], others: Mapping[str, str], wanted_imu: str = "") -> Choice:
-    """found: surveyed topics; others: unread topics with their types; wanted_imu: topic. Raises LogError without an IMU."""
+    """found: surveyed topics; others: unread ones; wanted_imu: topic. Raises LogError without an IMU."""
     notes: list[str] = []
     uses: dict[str, tuple[str, str]] = {}  # topic -> input, remark
     imu, mean_frd = _imu(found, wanted_imu, uses, notes)
@@ -69,7 +69,7 @@ def _row(topic: str, s: Survey, imu: str, use: str, remark: str) -> TopicRow:
 
 
 def _imu(found: Mapping[str, Survey], wanted: str, uses: dict[str, tuple[str, str]], notes: list[str]) -> tuple[str, Array]:
-    """The IMU with the highest rate of those that measure what one measures, and its mean specific force (3,), taken as FLU."""
+    """Fastest plausible IMU and its mean specific force (3,), as FLU."""
     usable: dict[str, Array] = {}
     for topic, s in found.items():
         if s.schema != schemas.IMU:
@@ -95,7 +95,7 @@ def _imu(found: Mapping[str, Survey], wanted: str, uses: dict[str, tuple[str, st
 
 
 def _mounting(imu: str, mean: Array, notes: list[str]) -> tuple[str, tuple[float, float]]:
-    """Axes, and roll and pitch [deg] of the IMU in the body, of the mean specific force f in FLU, to whole right angles.
+    """Axes, roll and pitch [deg] of the IMU from mean specific force f in FLU, to right angles.
 
     down d = -f / |f| in FRD:  roll = atan2(d_y, d_z),  pitch = atan2(-d_x, sqrt(d_y^2 + d_z^2))
     """
@@ -120,7 +120,7 @@ def _mounting(imu: str, mean: Array, notes: list[str]) -> tuple[str, tuple[float
 
 
 def _gnss(found: Mapping[str, Survey], uses: dict[str, tuple[str, str]]) -> None:
-    """Every receiver with fixes, each once: drivers and relays repeat the fixes of one under several names."""
+    """Every receiver with fixes, once: relays repeat them."""
     places: dict[str, set[tuple[float, float]]] = {}
     candidates = [topic for topic, s in found.items() if s.schema == schemas.NAV_SAT_FIX]
     for topic in sorted(candidates, key=lambda t: -found[t].messages):
@@ -138,7 +138,6 @@ def _gnss(found: Mapping[str, Survey], uses: dict[str, tuple[str, str]]) -> None
 
 
 def _other(topic: str, s: Survey) -> tuple[str, str]:
-    """What feeds what, where the type leaves it open."""
     values = np.linalg.norm(s.rows, axis=1) if s.values and s.values[0] else np.empty(0)
     usual = float(np.median(values[np.isfinite(values)])) if np.isfinite(values).any() else np.nan
     match s.schema:

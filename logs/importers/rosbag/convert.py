@@ -1,6 +1,6 @@
-"""A bag -> a log of the sensors' messages under their own topics, and its configuration.
+"""A bag to a log under its own topics, and its configuration.
 
-Bytes stay as they are, except stamps that are missing or of another clock than the IMU's: these become the time of recording.
+Bytes are kept, except missing stamps or those of another clock than the IMU's: they become recording times.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -25,7 +25,7 @@ _EVERY: Final = 500  # messages between reports
 
 
 def convert(source: Path, out: Path, progress: Callable[[float], None] | None = None, imu: str = "") -> ImportSummary:
-    """Write the log and OUT.toml. imu: the topic of the IMU. Raises LogError."""
+    """Write the log and OUT.toml; imu: topic. Raises LogError."""
     check_output(out, source)
     if not source.exists():
         raise LogError(f"{source}: no such file or folder")
@@ -70,7 +70,7 @@ def _reported(bag: Bag, wanted: frozenset[str] | None, report: Callable[[float],
 
 
 def _message(record: Record, t_ns: int | None) -> tuple[str, str, bytes]:
-    """Topic, type and bytes; t_ns: its new stamp."""
+    """Topic, type, bytes; t_ns: new stamp."""
     data = record.data if t_ns is None else stamped(record.data, t_ns)
     if record.schema == TWIST_STAMPED:
         return record.topic, schemas.TWIST, data + _NO_COVARIANCE
@@ -78,7 +78,7 @@ def _message(record: Record, t_ns: int | None) -> tuple[str, str, bytes]:
 
 
 def _clocks(choice: Choice, found: Mapping[str, Survey], notes: list[str]) -> tuple[int, frozenset[str]]:
-    """What to add to times of recording, and the topics that are stamped with these."""
+    """Offset of recording times, and topics stamped with them."""
     (imu,) = choice.inputs["imu"]
     ahead_ns = 0 if found[imu].unstamped else found[imu].ahead_ns
     shift_ns = ahead_ns if abs(ahead_ns) > _CLOCKS_NS else 0

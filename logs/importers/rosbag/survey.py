@@ -1,4 +1,4 @@
-"""What the topics of a bag hold, of a first pass over the messages of the sensors: rates, stamps, plausibility."""
+"""First pass over a bag's sensor topics: rates, stamps, plausibility."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -46,7 +46,7 @@ STAMPED: Final = frozenset({  # types that begin with a std_msgs/Header
 
 @dataclass
 class Survey:
-    """One topic. t_ns: stamps, arrived_ns: times of recording, values: rows of VALUES; of one message in `every`."""
+    """One topic: t_ns: stamps, arrived_ns: recording times, values: rows of VALUES; every: thinning."""
 
     schema: str
     messages: int = 0
@@ -110,7 +110,7 @@ def survey(records: Iterable[Record]) -> dict[str, Survey]:
 
 
 def stamp(data: bytes) -> int:
-    """header.stamp [ns] of a CDR message that begins with a std_msgs/Header."""
+    """header.stamp [ns] of a CDR message with a leading Header."""
     order = _order(data)
     sec, nanosec = int.from_bytes(data[4:8], order, signed=True), int.from_bytes(data[8:12], order)
     return sec * 1_000_000_000 + nanosec

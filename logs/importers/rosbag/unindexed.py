@@ -27,13 +27,13 @@ _UNPACK: Final[Mapping[str, Callable[[bytes, int], bytes]]] = {  # to so many by
 
 
 class Unpacker:
-    """Content of a bag's chunks, of all together no more than is allowed for its size."""
+    """Contents of a bag's chunks, bounded in total by its size."""
 
     def __init__(self, size: int) -> None:
         self._left = allowed(size)
 
     def __call__(self, compression: str, data: bytes) -> bytes:
-        """Raises TooLargeError; KeyError for an unknown compression; the decompressor's exception where it is damaged."""
+        """Raises TooLargeError; KeyError: unknown compression; the decompressor's errors."""
         most = min(self._left, PIECE_BYTES)
         content = _UNPACK[compression](data, most + 1)
         check(len(content), len(data), most)
@@ -42,7 +42,7 @@ class Unpacker:
 
 
 def messages(path: Path) -> Iterator[tuple[str, str, int, bytes, float]]:
-    """(topic, type, arrival [ns], bytes, share of the file) of whole records before the first torn one. Raises ValueError."""
+    """(topic, type, arrival [ns], bytes, share of the file) before the first torn record. Raises ValueError."""
     connections: dict[bytes, tuple[str, str]] = {}
     size = path.stat().st_size
     with opened(path) as file:
@@ -64,7 +64,7 @@ def messages(path: Path) -> Iterator[tuple[str, str, int, bytes, float]]:
 
 
 def _records(file: BinaryIO) -> Iterator[tuple[dict[bytes, bytes], bytes]]:
-    """Header and data of each record; of a torn one at the end what there is of the data."""
+    """Header and data of each record, torn ones partially."""
     while True:
         blocks = []
         for _ in range(2):
@@ -84,7 +84,7 @@ def _records(file: BinaryIO) -> Iterator[tuple[dict[bytes, bytes], bytes]]:
 
 
 def _of_chunk(header: dict[bytes, bytes], data: bytes, unpack: Unpacker) -> list[tuple[dict[bytes, bytes], bytes]]:
-    """The records of a chunk; none where it cannot be unpacked."""
+    """Records of a chunk; none if it cannot be unpacked."""
     try:
         content = unpack(header[b"compression"].decode(), data)
     except TooLargeError:
