@@ -3,6 +3,8 @@
 nu = D (z (-) x) + y,   R = D C D^T,   L <- D L      (C: covariance of the fix, L: how errors that repeat move its pose)
 """
 
+import math
+
 import numpy as np
 from msgspec.structs import replace
 
@@ -103,7 +105,7 @@ def position_innovation(z: Measurement, nu: Array, s: Array) -> tuple[tuple[floa
         nu, s = back @ nu, back @ s @ back.T
     elif len(nu) < _XYZ:
         return None
-    return tuple(nu[:_XYZ].tolist()), tuple(np.sqrt(s.diagonal()[:_XYZ]).tolist())
+    return tuple(nu[:_XYZ].tolist()), tuple(map(math.sqrt, s.diagonal().tolist()[:_XYZ]))
 
 
 def _seen_along(directions: Array, slow: SlowError) -> SlowError:

@@ -47,8 +47,8 @@ class Scatter(NamedTuple):
             dof, distance2 = len(seen.nu), seen.distance2 if s is seen.s else mahalanobis(seen.nu, s)[0]
             bend, _ = mahalanobis(seen.nu - 2.0 * nu_1 + nu_2, s + 4.0 * s_1 + s_2)
             ratios = (*ratios[1 - _WINDOW :], (bend, distance2 > gate(_FAR, dof)))
-            ordered = sorted(ratio for ratio, _ in ratios)
-            many = 2 * sum(far for _, far in ratios) > _WINDOW
-            if len(ratios) == _WINDOW and many and ordered[_RANK - 1] > gate(_USUAL, dof):
+            many = len(ratios) == _WINDOW and 2 * sum([far for _, far in ratios]) > _WINDOW
+            ordered = sorted(ratio for ratio, _ in ratios) if many else []
+            if many and ordered[_RANK - 1] > gate(_USUAL, dof):
                 factor = max(factor, min(ordered[_SIZE_RANK - 1] / gate(0.5, dof), _LARGEST))
         return Scatter(t_ns, last, ratios, factor)
