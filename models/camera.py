@@ -214,8 +214,9 @@ def projected(x_c: Array, k: Array) -> tuple[Array, Array]:
                 px[i, 0], px[i, 1] = k[0] * da + k[2], k[1] * db + k[3]
                 jacobian[i, 0, 0], jacobian[i, 0, 1], jacobian[i, 0, 2] = aa, ab, -(aa * a + ab * b)
                 jacobian[i, 1, 0], jacobian[i, 1, 1], jacobian[i, 1, 2] = ab, bb, -(ab * a + bb * b)
-                jacobian[i, 0] *= k[0] / z
-                jacobian[i, 1] *= k[1] / z
+                for row in range(2):  # an expression of arrays would compile for three seconds
+                    for j in range(3):
+                        jacobian[i, row, j] *= k[row] / z
     return px, jacobian
 
 

@@ -64,7 +64,9 @@ def substitute(low: Array, b: Array) -> None:
 def inverse(s: Array) -> Array:
     """S^-1 = L^-T L^-1 (m, m), exactly symmetric. Raises numpy.linalg.LinAlgError where S is not positive definite."""
     m = s.shape[0]
-    low, root, result = np.empty((m, m)), np.eye(m), np.empty((m, m))
+    low, root, result = np.empty((m, m)), np.zeros((m, m)), np.empty((m, m))
+    for i in range(m):
+        root[i, i] = 1.0
     if not factor(s, low):
         raise np.linalg.LinAlgError("not positive definite")
     forward(low, root)

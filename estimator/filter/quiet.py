@@ -44,16 +44,17 @@ class Quiet:
         """Put the sample behind the others and go there: nav (16,) and covariance (15, 15) to publish; None: out of bounds."""
         samples, lead, t_ns, slow = self.samples, self._lead, sample.t_ns, self._lead.slow
         index, nav, covariance = samples.begin_next(), np.empty(_XN), np.empty((_N, _N))
-        is_good = _lead(
-            lead.x, lead.cov, samples.t_ns, samples.u, samples.known, index, lead.t_ns, t_ns, *sample.gyro_b, *sample.accel_b,
-            lead.constants, slow.tau_s, slow.psd, *self._limits, self._share, nav, covariance,
+        buffer, read = (samples.t_ns, samples.u, samples.known), (*sample.gyro_b, *sample.accel_b)
+        is_good = _take(
+            lead.x, lead.cov, *buffer, index, lead.t_ns, t_ns, *read, lead.constants, slow.tau_s, slow.psd, *self._limits,
+            self._share, 0.0, nav, covariance,
         )  # fmt: skip
         lead.t_ns = self.tracker.core.t_ns = t_ns
         for eskf, share in self._others:
             slow = eskf.slow
-            eskf.sound = _other(
-                eskf.x, eskf.cov, samples.t_ns, samples.u, samples.known, index, eskf.t_ns, t_ns, eskf.constants, slow.tau_s,
-                slow.psd, share, self._root, nav, covariance,
+            eskf.sound = _take(
+                eskf.x, eskf.cov, *buffer, index, eskf.t_ns, t_ns, *read, eskf.constants, slow.tau_s, slow.psd, *self._limits,
+                share, self._root, nav, covariance,
             )  # fmt: skip
             eskf.t_ns = t_ns
         samples.end_next(t_ns)
@@ -71,32 +72,28 @@ class Quiet:
 
 
 @njit(cache=True, error_model="numpy")
-def _lead(
+def _take(
     x: Array, cov: Array, t_ns: NDArray[np.int64], u: Array, known: Array, i: int, from_ns: int, to_ns: int,
     wx: float, wy: float, wz: float, fx: float, fy: float, fz: float, c: Array, tau: Array, psd: Array,
-    fastest: float, least_down: float, most_down: float, sigma: float, share: float, nav: Array, covariance: Array,
+    fastest: float, least_down: float, most_down: float, sigma: float, share: float, root: float, nav: Array, covariance: Array,
 ) -> bool:  # fmt: skip
-    """Sample i (w, f) at to_ns into the buffer, and x, P (n, n) there: nav <- x, covariance <- share P of the 15.
+    """x, P (n, n) of a hypothesis to sample i (w, f) at to_ns; whether the state is sound.
 
-    False: the state is not sound, or may be out of bounds. The rest as imu.propagate and bounds.is_within.
+    root: 0 of the leading one, which comes first: it puts the sample into the buffer, nav <- x, covariance <- share P of the 15.
+    False: or it may be out of bounds. Of another one f^1/2: its share of the covariance is added (mixture.mix). The rest as
+    imu.propagate and bounds.is_within.
     """
-    sampling.put(t_ns, u, known, i, i + 1, to_ns, wx, wy, wz, fx, fy, fz)
-    good = imu.advance(x, cov, np.empty((0, 0)), t_ns, u, known, i + 1, i, from_ns, to_ns, c, tau, psd)
+    leads = root == 0.0
+    if leads:
+        sampling.put(t_ns, u, known, i, i + 1, to_ns, wx, wy, wz, fx, fy, fz)
+    good: bool = imu.advance(x, cov, np.empty((0, 0)), t_ns, u, known, i + 1, i, from_ns, to_ns, c, tau, psd)
+    if not leads:
+        if share > 0.0:
+            mix(covariance, share, cov, nav, x, root)
+        return good
     for k in range(_XN):
         nav[k] = x[k]
     for k in range(_N):
         for j in range(_N):
             covariance[k, j] = share * cov[k, j]
     return good and is_within(x, cov, fastest, least_down, most_down, sigma)
-
-
-@njit(cache=True, error_model="numpy")
-def _other(
-    x: Array, cov: Array, t_ns: NDArray[np.int64], u: Array, known: Array, i: int, from_ns: int, to_ns: int,
-    c: Array, tau: Array, psd: Array, share: float, root: float, nav: Array, covariance: Array,
-) -> bool:  # fmt: skip
-    """x, P (n, n) of another hypothesis to sample i, and its share of the covariance (mixture.mix); whether it is sound."""
-    is_sound = imu.advance(x, cov, np.empty((0, 0)), t_ns, u, known, i + 1, i, from_ns, to_ns, c, tau, psd)
-    if share > 0.0:
-        mix(covariance, share, cov, nav, x, root)
-    return bool(is_sound)

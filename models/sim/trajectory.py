@@ -241,5 +241,7 @@ def _frame(x: Array, dx: Array, y: Array, dy: Array, z: Array, dz: Array) -> tup
 def _quaternions(R_nb: Array) -> Array:
     q = np.empty((R_nb.shape[0], 4))
     for k in range(R_nb.shape[0]):
-        q[k] = so3.from_matrix(R_nb[k])
+        of_k = so3.from_matrix(R_nb[k])
+        for i in range(4):
+            q[k, i] = of_k[i]
     return q

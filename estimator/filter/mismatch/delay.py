@@ -221,12 +221,14 @@ def _jacobian(x: Array, u: Array, lever: Array) -> Array:
 @njit(cache=True, error_model="numpy")
 def _score(nu: Array, s: Array, hp: Array, column: int) -> tuple[float, float]:
     """J'^T S^-1 J' and J'^T S^-1 nu, J' (m,) from column tau of H P (m, n); nan where S is not positive definite."""
-    j, low, information, score = hp[:, column] / _PROBE_S**2, np.empty_like(s), 0.0, 0.0
-    weighed = j.copy()
+    m, information, score = nu.shape[0], 0.0, 0.0
+    low, weighed = np.empty((m, m)), np.empty(m)
+    for i in range(m):
+        weighed[i] = hp[i, column] / _PROBE_S**2
     if not cholesky.factor(s, low):
         return np.nan, np.nan
     cholesky.substitute(low, weighed)
-    for i in range(nu.shape[0]):
-        information += weighed[i] * j[i]
+    for i in range(m):
+        information += weighed[i] * (hp[i, column] / _PROBE_S**2)
         score += weighed[i] * nu[i]
     return information, score
