@@ -69,7 +69,6 @@ def _struct(info: mi.Type) -> mi.StructType:
 
 
 def _alternatives(info: mi.Type) -> tuple[mi.Type, ...]:
-    """The types a field may have, without annotations: float | None gives both."""
     if isinstance(info, mi.Metadata):
         return _alternatives(info.type)
     return tuple(a for t in info.types for a in _alternatives(t)) if isinstance(info, mi.UnionType) else (info,)

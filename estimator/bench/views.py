@@ -122,13 +122,11 @@ def _scene(experiment: Experiment, roof: Roof, rng: np.random.Generator) -> Scen
 
 
 def _measured_colours(scene: Scene, rng: np.random.Generator) -> Scene:
-    """Colours from an image, each channel within about 4 %."""
     appearances = {m.id: appearance for m, appearance in zip(scene.world.landmarks, scene.world.appearances, strict=True)}
     return scene._replace(map=_recoloured(scene.map, {k: _noted(appearance, rng) for k, appearance in appearances.items()}))
 
 
 def _described(scene: Scene) -> Scene:
-    """A map with the nearest named colour of each painted roof."""
     words = [w for w in map(colours.parse, _WORDS) if w is not None]
     named = {
         m.id: min(words, key=lambda w, c=m.colour_bgr: math.dist(w, c))  # type: ignore[misc]
@@ -184,7 +182,6 @@ def _whole(scene: Scene, p_n: Array, R_nb: Array) -> tuple[Scene, dict[str, floa
 
 
 def _partly(scene: Scene, p_n: Array, R_nb: Array, rng: np.random.Generator) -> tuple[Scene, dict[str, float]] | None:
-    """Landmarks of which the border or a tower hides 30 to 70 %; those seen better leave the map."""
     if rng.random() < 0.5:
         scene = scene._replace(world=hide(scene.world, scene.rig, p_n, R_nb, rng))
     elif sum(cut(scene.rig, p_n, R_nb, m) for m in scene.world.landmarks) < _LEAST:
@@ -219,7 +216,6 @@ def _conditions(rng: np.random.Generator) -> Conditions:
 
 
 def _reference(world: World, target: str, height_m: float, rng: np.random.Generator) -> Reference:
-    """The landmark in the middle of an image from above, at another hour and height, turned."""
     mark = next(m for m in world.landmarks if m.id == target)
     hour = Sun(rng.uniform(-math.pi, math.pi), math.radians(rng.uniform(30.0, 65.0)))
     p_nc = np.array([*mark.centre_n, -height_m * rng.uniform(0.8, 1.25)])

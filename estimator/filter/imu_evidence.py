@@ -52,7 +52,6 @@ class ImuEvidence:
         return drag.felt(aid, u, config)
 
     def _rest(self, samples: ImuBuffer) -> Rest | Refusal:
-        """The vehicle at rest by the last second of IMU, confirmed by the estimate."""
         core = self.core
         rules, u = core.config.rest, core.recent(samples)
         if u is None or not core.is_aligned or core.hypotheses is None or not rest.is_quiet(u):

@@ -55,7 +55,6 @@ def _update(cov: Array, nu: Array, h: Array, hp: Array, noise: Array, estimated:
 
 @njit(cache=True, error_model="numpy")
 def _gain(h: Array, hp: Array, noise: Array, estimated: Array) -> Array:
-    """K (n, m)."""
     m, n = h.shape
     s, low, solved, gain = np.empty((m, m)), np.empty((m, m)), hp.copy(), np.empty((n, m))
     for i in range(m):

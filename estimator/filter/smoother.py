@@ -137,7 +137,6 @@ def sort(messages: Iterable[Input], config: FilterConfig) -> tuple[ImuBuffer, li
 
 
 def _forward(tracker: Tracker, samples: ImuBuffer, aids: list[Aid]) -> Iterator[tuple[float, Node | None]]:
-    """Through all stops in order of time: fraction done, and the leading node, None before alignment."""
     if not samples.count:
         return
     at = {t_ns: list(group) for t_ns, group in groupby(aids, key=lambda aid: aid.t_ns)}
@@ -154,7 +153,6 @@ def _forward(tracker: Tracker, samples: ImuBuffer, aids: list[Aid]) -> Iterator[
 def _step(
     tracker: Tracker, samples: ImuBuffer, tips: dict[Hypothesis, Node], t_ns: int, aids: list[Aid]
 ) -> dict[Hypothesis, Node]:
-    """Take the tracker to t_ns and through the aids there; tips: each hypothesis' newest node."""
     index, from_ns = samples.first_after(tracker.core.t_ns), tracker.core.t_ns
     missing = _imu_missing(samples, from_ns, t_ns, tracker.core.config.coast.gap_s)
     phis = {} if missing else {m: _transition(m, samples, index, t_ns) for m in tips}

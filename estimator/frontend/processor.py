@@ -98,7 +98,6 @@ class Processor:
 
 
 def _decoded(shot: Shot | None, camera: CameraModel) -> Pixels | str | None:
-    """The image at the camera's size, or why it cannot be used."""
     if shot is None:
         return None
     try:

@@ -170,7 +170,6 @@ class Overlay:
         expected: dict[str, float],
         measured: Collection[str] | None,
     ) -> list[Residuals]:
-        """Residuals of measured landmarks, searched for within the pose's uncertainty."""
         off = _SIGMAS * np.median([sigma for sigma in expected.values() if np.isfinite(sigma)] or [0.0])
         reach_px = float(np.clip(off, _LEAST_REACH_PX, _MOST_REACH_PX))
         seen = []

@@ -63,14 +63,12 @@ def _learned(files: LearnedFiles | None) -> Learned | None:
 
 
 def _nodes(width: int, height: int) -> Array:
-    """Pixels (r, c, 2) from corner to corner, at most _SPACING_PX apart."""
     counts = [max(2, -(-(n - 1) // _SPACING_PX) + 1) for n in (width, height)]
     u, v = (np.linspace(0.0, n - 1.0, count) for n, count in zip((width, height), counts, strict=True))
     return np.stack(np.meshgrid(u, v), axis=-1)
 
 
 def _on_earth(affine: Array, epsg: int, px: Array) -> Array:
-    """Longitude and latitude (N, 2) [deg] of pixels (N, 2)."""
     lonlat = projection.to_lonlat(epsg, px @ affine[:, :2].T + affine[:, 2])
     assert lonlat is not None
     return lonlat

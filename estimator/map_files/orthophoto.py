@@ -160,7 +160,6 @@ def _world_name(path: Path) -> Path:
 
 
 def _world_file(path: Path) -> Array | None:
-    """Its six lines: A's first column, second column, third column."""
     for candidate in (_world_name(path), path.with_suffix(".wld"), Path(f"{path}w")):
         if candidate.exists():
             try:

@@ -233,13 +233,11 @@ def _values(data: bytes) -> dict[str, str]:
 
 
 def _fates(reasons: Iterable[str]) -> Text:
-    """120 fused, 3 gated."""
     counted = Counter(reasons).most_common()
     return Text(", ").join(Text(f"{n} {reason}", style="green" if reason == "fused" else "yellow") for reason, n in counted)
 
 
 def _links(d: Mapping[str, str]) -> Iterator[tuple[str, str, bool]]:
-    """Name, state and health of configured vision and autopilot link."""
     if state := d.get("vision state"):
         seen = f"{d['vision fixes']} fixes of {d['vision pairs']} pairs, {d['vision latency_ms']} ms"
         yield "vision", f"{state}   {seen}, {d['vision restarts']} restarts", state in {"ready", "seeing"}
@@ -257,7 +255,6 @@ def _age(given: str | None) -> Text:
 
 
 def _alert(integrity: Integrity) -> Text:
-    """usable   HPL 3.2 of 10 m, VPL 3.1 m at 1e-05 per hour."""
     i = integrity
     levels = (("HPL", i.hpl_m, i.hal_m), ("VPL", i.vpl_m, i.val_m))
     shown = ", ".join(

@@ -248,7 +248,6 @@ def _attachments(config: RunConfig, folder: Path) -> list[Attachment]:
 
 
 def _serve(bus: ZenohBus, status: Status, attachments: list[Attachment]) -> None:
-    """Queryables: landfix/status, landfix/config, landfix/calibration, landfix/map."""
     bus.serve("status", status.json, "application/json")
     content = {a.name.partition("/")[0]: a.data for a in attachments}
     bus.serve("config", lambda: content[CONFIG_ATTACHMENT], "application/toml")

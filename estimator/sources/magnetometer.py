@@ -109,7 +109,6 @@ class MagnetometerConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
         )
 
     def _heading(self, m_b: Array, origin: Origin | None, year: float) -> Heading | None:
-        """The field in body axes against the expected one; None: no origin or declination."""
         noise, given = np.array([[math.radians(self.sigma_deg) ** 2]]), self.declination_deg
         if origin is None:
             return None if given is None else Heading(m_b, math.radians(given), noise, is_steep=True)

@@ -101,5 +101,4 @@ class VelocityBodyConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
 
 
 def _along(x: Array) -> Array:
-    """R^T v."""
     return np.asarray(so3.matrix(x[X.Q]).T @ x[X.V])

@@ -86,7 +86,6 @@ def demo(
 
 
 def _plan(scenario: str, one_camera: bool) -> Scenario:
-    """The parsed scenario. Raises ValueError where it lacks the wanted camera."""
     plan = loads(scenario, SCENARIO)
     if not one_camera:
         return plan

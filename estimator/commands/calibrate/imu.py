@@ -115,7 +115,6 @@ def camera_imu_command(
 
 
 def _config(path: Path | None) -> "Config":
-    """The configuration; without a file, the noise of a hand-held MEMS IMU, not that of a vehicle in flight."""
     from estimator.config import Config, Imu, load
 
     if path is not None:

@@ -100,7 +100,6 @@ def pair(left: Sequence[Keyed], right: Sequence[Keyed]) -> tuple[list[Pair], lis
 
 
 def _check_whole(board: Board, shown: Sequence[Image]) -> None:
-    """Refuse images that all show the same part of a larger board."""
     size = size_around(shown[0], board) if shown else None
     if size is not None and all(size_around(image, board) == size for image in shown[1:]):
         raise CalibrationError(

@@ -201,7 +201,6 @@ def check(
 
 
 def _common(text: str) -> tuple[float, float] | None:
-    """H,V or nothing. Raises a usage error."""
     if not text:
         return None
     try:
@@ -214,7 +213,6 @@ def _common(text: str) -> tuple[float, float] | None:
 
 
 def _origin(text: str) -> tuple[float, float, float] | None:
-    """LAT,LON,ALT or nothing. Raises a usage error."""
     if not text:
         return None
     try:

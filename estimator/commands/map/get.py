@@ -76,7 +76,6 @@ def command(
 
 
 def _place(text: str) -> tuple[float, float]:
-    """LAT,LON. Raises a usage error."""
     try:
         lat_deg, lon_deg = map(float, text.split(","))
     except ValueError:

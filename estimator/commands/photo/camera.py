@@ -69,7 +69,6 @@ def _dewarped(tags: Tags, width: int, height: int, scale: float) -> FromTags:
 
 
 def _focal(tags: Tags, scale: float, width: int, height: int, where: str) -> tuple[float, str, float]:
-    """Focal length [px], its tag, and its relative standard deviation."""
     if tags.focal_px is not None:
         return scale * tags.focal_px, "CalibratedFocalLength", _CALIBRATED
     if tags.focal_mm is not None and tags.px_per_mm is not None:

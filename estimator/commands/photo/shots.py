@@ -171,7 +171,6 @@ def _camera_key(tags: Tags) -> tuple[object, ...]:
 
 
 def _one_turn(rig: StereoRig, files: list[Path], turns: list[int]) -> int:
-    """Quarters between the mounts of the sensor and of the displayed photo. Raises CalibrationError."""
     left = {fitted.turns_left(path, rig.left, n) for path, n in zip(files, turns, strict=True)}
     if len(left) > 1:
         raise CalibrationError(

@@ -134,7 +134,6 @@ def _xmp(packet: bytes | str) -> dict[str, str]:
 
 
 def _attitude(xmp: Mapping[str, str], make: str) -> tuple[float, float, float] | None:
-    """Roll (0 if missing), pitch from the horizon, yaw."""
     for group in ("Gimbal{}Degree", "Camera{}Degree"):
         roll, pitch, yaw = (_of(xmp, group.format(axis)) for axis in ("Roll", "Pitch", "Yaw"))
         if pitch is not None and yaw is not None:

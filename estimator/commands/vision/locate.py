@@ -249,7 +249,6 @@ def _how_far(landmarks: "LandmarkMap", prior: "Prior") -> str:
 
 
 def _joint(prior: "Prior", fix: "LandmarkFix") -> "tuple[Array, Array, Array]":
-    """Fix and prior fused: p_n, R_nb, covariance (6, 6)."""
     import numpy as np
 
     from models import so3

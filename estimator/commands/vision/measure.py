@@ -87,7 +87,6 @@ def command(
 
 
 def _colour(text: str) -> tuple[float, float, float]:
-    """BGR of "R,G,B"."""
     try:
         r, g, b = (float(x) for x in text.split(","))
     except ValueError:

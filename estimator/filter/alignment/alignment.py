@@ -223,10 +223,10 @@ class Alignment:
             core.is_aligned = known and confirmed and self._is_known()
 
     def _follows(self, aid: Aid, seen: Innovation, limit: float, *, lasts: bool) -> bool:
-        """Fuse an unpredicted measurement after another one: the only filter drifts without fixes.
+        """Fuse a second unpredicted measurement: the only filter drifts without fixes.
 
-        Once, and then while innovations do not persist in one direction (three in a row, two where the attitude is off by 30
-        degrees); not after a filter was given up: a wrong IMU is not followed.
+        Only while innovations do not persist in one direction (three in a row, two at an attitude 30 degrees off); not after a
+        filter was given up: a wrong IMU is not followed.
         """
         core = self.core
         assert core.hypotheses is not None
@@ -239,7 +239,6 @@ class Alignment:
         return True
 
     def _note_contradiction(self, aid: Aid, z: Measurement, *, foreseen: bool) -> None:
-        """Note whether any filter predicted a position; begin again where the IMU turns out wrong."""
         if not aid.absolute:
             return
         own_too = aid.topic == self.begun_by and self.core.conflicts.apart
@@ -268,13 +267,12 @@ class Alignment:
         return initialise.aligned(core.hypotheses, core.config.initialise, sensed=self._senses_heading)
 
     def _is_proven(self) -> bool:
-        """The newest position was foreseen, by a filter that has gone on for a while."""
         core = self.core
         since_ns = core.stretch.t_ns if core.stretch is not None else NEVER
         return not self.contradiction.unforeseen and core.t_ns - since_ns >= _PROVEN_NS * 3 ** min(self.given_up, _THRICE_AT_MOST)
 
     def _find_heading(self, aid: Aid, z: Position | Pose, at: Level, samples: ImuBuffer, gyro_b: Array) -> Decision:
-        """Wait at rest; in motion start the bank of headings, from the last rest if it was just now."""
+        """Wait at rest; in motion start the bank of headings."""
         core = self.core
         config = core.config.initialise
         if self._start_from_prior(z, at, samples) or self._start_from_sensed(z, at, samples):
@@ -373,7 +371,6 @@ class Alignment:
                 self._begin_beside(beside, z, samples)
 
     def _rests(self, beside: WithoutSensor, z: Measurement, samples: ImuBuffer) -> bool:
-        """Whether neither the IMU nor positions show motion."""
         core = self.core
         if beside.since is None:
             return False
@@ -384,7 +381,6 @@ class Alignment:
         return stretch is not None and initialise.level(core.t_ns, stretch, core.config.initialise).still
 
     def _begin_beside(self, beside: WithoutSensor, z: Position | Pose, samples: ImuBuffer) -> None:
-        """At rest, begin the headings anew before they blur."""
         core = self.core
         beside.began_ns, stretch = core.t_ns, core.recent(samples)
         if stretch is None:

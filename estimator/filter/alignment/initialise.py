@@ -176,7 +176,6 @@ def heading_unknown(t_ns: int, z: Position | Pose, at: Level, constants: Array, 
 def _levelled(
     t_ns: int, z: Position | Pose, at: Level, heading: float, sigma: float, constants: Array, config: InitialiseConfig
 ) -> Eskf:
-    """A levelled filter at a position fix; heading and its sigma in rad."""
     x, cov = _unknown(at, config)
     x[X.P], x[X.Q] = z.z_n, so3.from_euler(at.roll, at.pitch, heading)
     cov[E.P, E.P] = z.noise[:3, :3]
@@ -191,7 +190,6 @@ def _symmetric(cov: Array) -> Array:
 
 
 def _unknown(at: Level | None, config: InitialiseConfig) -> tuple[Array, Array]:
-    """State and covariance of which only the biases are guessed."""
     bias, sigma = (at.gyro_bias, at.gyro_bias_sigma) if at else (np.zeros(3), config.gyro_bias_sigma)
     zero = np.zeros(3)
     x = NavState(zero, zero, np.array([1.0, 0.0, 0.0, 0.0]), bias, zero).pack()

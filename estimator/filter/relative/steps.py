@@ -57,7 +57,6 @@ def take(bank: Hypotheses, aid: OdometryAid, kept: Kept | None, state: SourceSta
 
 
 def _pose(bank: Hypotheses, aid: OdometryAid, at: Posed, kept: Kept | None, state: SourceState, *, alone: bool) -> Step:
-    """A pose: first of its frame, too near the kept one, or the end of one increment and start of the next."""
     begun = Kept(aid.t_ns, aid.t_ns, b"", at.epoch, at.pose, (aid.t_ns, at.pose, None))
     if kept is None or kept.pose is None or kept.epoch != at.epoch:
         return Step(Reason.THINNED, _BEGINS, _keep(bank, aid, kept, begun), state)

@@ -134,7 +134,6 @@ def _points(geometry: Iterable[Any]) -> list[_Point]:
 
 
 def _joined(lines: list[list[_Point]]) -> Iterator[Array]:
-    """Closed rings of ways that meet at their ends, each used once."""
     ends: dict[_Point, list[int]] = defaultdict(list)
     for k, line in enumerate(lines):
         for end in {line[0], line[-1]}:

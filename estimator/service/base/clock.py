@@ -192,7 +192,6 @@ class Stamps:
         return arrived_ns - lag
 
     def _watch_wall(self) -> None:
-        """Detect steps of the wall clock; slewing affects the monotonic clock alike."""
         ahead = self._clock.wall_ahead_ns()
         if ahead is None or abs(ahead - self._wall[-1]) < _STEP_NS:
             return

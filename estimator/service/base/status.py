@@ -66,7 +66,6 @@ class Status:
         return now_ns - self._sane_ns <= _SILENT_NS or now_ns - self._imu_ns > _SILENT_NS
 
     def _explains(self, message: Input, outputs: Sequence[Output]) -> bool:
-        """An IMU sample, or a tick in its place, led to an estimate or a known reason for none."""
         for output in outputs:
             if isinstance(output, AidStatus) and output.reason is Reason.INTERNAL:
                 return False
@@ -105,7 +104,6 @@ class Status:
         return msgspec.json.encode({"daemon": self._values, "counts": totals, "health": self._health})
 
     def _latencies(self) -> dict[str, str]:
-        """Median, 99 % and largest latency from validity and from arrival, last few seconds."""
         if not self._latency_ns:
             return {}
         ms = np.array(self._latency_ns) * 1e-6

@@ -39,7 +39,6 @@ class FolderLock:
     """The folder is ours while we hold the lock of its lock file; a context manager."""
 
     def __init__(self, folder: Path) -> None:
-        """Raises FolderError when it is another's."""
         self.path, self._fd = folder / "landfix.lock", -1
         self.hold()
 

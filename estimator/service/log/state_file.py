@@ -68,7 +68,6 @@ def _content(path: Path) -> bytes:
 
 
 def _absurd(saved: SavedState, wall_ns: int, steady_ns: int) -> str:
-    """Implausible clock of a state: outside this boot, or far ahead of the wall clock."""
     same_boot = bool(saved.boot) and saved.boot == boot_id()
     now_ns = saved.anchor_ns + steady_ns if same_boot else saved.t_ns
     if not 0 <= saved.t_ns < _LAST_NS or not 0 <= now_ns < _LAST_NS:

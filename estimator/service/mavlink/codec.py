@@ -237,7 +237,6 @@ def _degrees_e7(at: Place) -> tuple[int, int]:
 
 
 def _position_covariance(message: Any) -> Array | None:
-    """From h_acc and v_acc [mm], else eph and epv (100 HDOP, VDOP)."""
     if message.h_acc and message.v_acc:
         h, v = 1e-3 * message.h_acc, 1e-3 * message.v_acc
         return np.diag([h * h, h * h, v * v])
@@ -287,7 +286,6 @@ def _airspeed(message: Any) -> tuple[float, ...] | None:
 
 
 def _scaled_airspeed(message: Any) -> tuple[float, ...] | None:
-    """Of a SCALED_PRESSURE; 0: there is no pitot tube."""
     return _indicated(message.press_diff) if message.press_diff else None
 
 

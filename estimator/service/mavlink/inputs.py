@@ -51,7 +51,6 @@ class Inputs:
     """Of one link."""
 
     def __init__(self, config: MavlinkConfig, topics: Topics, geoid_m: float, level: tuple[float, float] | None = None) -> None:
-        """level: see FlowRange."""
         self._attitude_sigma_deg = config.attitude_sigma_deg
         self._attitude_topic = topics.attitude[0] if topics.attitude else None
         self._geoid_m = geoid_m
@@ -195,7 +194,6 @@ class Inputs:
         return wanted
 
     def _is_best(self, kind: str, now_ns: int, autopilot: int | None) -> bool:
-        """The coarse kind counts only while the good one is absent."""
         return kind == "HIGHRES_IMU" or (_IMUS[kind] == _coarse_of(autopilot) and self._is_gone(_IMU, now_ns))
 
     def _slow_down(self, now_ns: int) -> None:

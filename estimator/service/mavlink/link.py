@@ -185,7 +185,6 @@ class MavlinkLink:
             self._alerted = now.state
 
     def _announce(self, estimate: Estimate, quality: int, *, knows_frame: bool) -> None:
-        """Say whether the autopilot may use the odometry, on change, at most once a second."""
         radius_m = float(horizontal_radius(estimate.covariance[None, :2, :2])[0])
         if quality >= 0:
             line = "odometry may be used"
@@ -246,14 +245,12 @@ class MavlinkLink:
         self._speak(now_ns)
 
     def _judge(self, message: Any, now_ns: int, inbox: Inbox) -> None:
-        """Take a message, or refuse it with its reason, without loss of others."""
         try:
             self._take(message, now_ns, inbox)
         except Exception as error:  # a peer's bytes may raise what no check covers
             self.refused, self._refusal = self.refused + 1, f"{message.get_type()}: {str(error) or type(error).__name__}"
 
     def _is_peer(self, sender: Any, now_ns: int) -> bool:
-        """Whoever spoke first is the autopilot, until it is silent."""
         if sender != self._peer and now_ns - self._peer_ns <= _GONE_NS:
             self.strangers += 1
             return False
@@ -292,7 +289,6 @@ class MavlinkLink:
                     inbox.put(measurement)
 
     def _take_odometry(self, message: Any, now_ns: int, inbox: Inbox) -> None:
-        """Another component's odometry, stamped on our clock, or else on the autopilot's."""
         stamp_ns = codec.stamp_ns(message)
         for t_ns in (stamp_ns, self._boot.offset.ours(stamp_ns)):
             if t_ns is not None and abs(t_ns - now_ns) <= _IMPLAUSIBLE_NS:
@@ -332,7 +328,6 @@ class MavlinkLink:
         self._unix_ahead_ns = unix_ns - now_ns if dated else None
 
     def _speak(self, now_ns: int) -> None:
-        """Send what is due: HEARTBEAT, TIMESYNC, requests of missing messages."""
         if now_ns >= self._next_heartbeat_ns:
             self._next_heartbeat_ns = now_ns + _HEARTBEAT_NS
             kind, none = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID

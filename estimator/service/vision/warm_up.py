@@ -55,7 +55,6 @@ def warm_up(priors_m: Sequence[float] = PRIORS_M) -> None:
 
 
 def _score_a_pattern() -> None:
-    """The score of all outlines together, which none of these priors needs."""
     field, shifts = np.zeros((4, 4, 7), np.float32), np.zeros(1)
     joint_score(field, np.ones(4), np.ones((1, 11)), 1.0, shifts, shifts)
 
@@ -81,7 +80,6 @@ def warm_up_odometry() -> None:
 
 
 def _drawn(marks: list[Landmark], camera: CameraModel, p_nc: Array, R_nc: Array) -> Pixels:
-    """Roofs on grainy ground, seen at p_nc (3,) with axes R_nc (3, 3)."""
     grain = np.random.default_rng(0).normal(_GROUND, _GRAIN, (camera.height, camera.width, 3))
     image = np.clip(grain, 0.0, 255.0).astype(np.uint8)
     for mark in marks:

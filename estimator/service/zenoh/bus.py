@@ -111,7 +111,6 @@ class ZenohBus:
     """An Outbox of ports.py that feeds an Inbox. Raises BusError, ConfigError."""
 
     def __init__(self, config: ZenohConfig, folder: Path, clock: Clock, inputs: Mapping[str, str], images: Sequence[str]) -> None:
-        """inputs: topic -> type of what is subscribed to; images: topics of images, raw or compressed."""
         self._config, self._clock, self._images = config, clock, frozenset(images)
         self._topics = list(inputs.items()) + [(i, s) for i in images for s in (schemas.COMPRESSED_IMAGE, schemas.IMAGE)]
         self._kept: list[Any] = []

@@ -260,7 +260,6 @@ def _file(folder: Path, name: str) -> str:
 
 
 def _secret(folder: Path, key: str, name: str) -> str:
-    """A file that Zenoh reads itself, and that nobody else may."""
     path = _file(folder, name)
     check_secret(f"zenoh.security.{key}", Path(path))
     return path

@@ -90,6 +90,5 @@ class HeldImu:
 
 
 def _rests(sample: ImuSample) -> bool:
-    """Possible rest: held values do no harm then."""
     rate, force = np.linalg.norm(sample.gyro_b), np.linalg.norm(sample.accel_b)
     return bool(rate < _RESTS_RAD_S and abs(force - GRAVITY) < _RESTS_M_S2)

@@ -188,7 +188,6 @@ def _stream(name: str, topic: _Topic) -> list[Check]:
 
 
 def _imu(name: str, samples: Array, t_s: Array, axes: str) -> list[Check]:
-    """Rate, gaps, units by gravity and the fastest turn, axes by gravity's direction."""
     finite = np.isfinite(samples).all(axis=1)
     bad = int(np.count_nonzero(~finite))
     samples, t_s = samples[finite], t_s[finite]
@@ -212,7 +211,6 @@ def _imu(name: str, samples: Array, t_s: Array, axes: str) -> list[Check]:
 
 
 def _stillest(samples: Array, width: int) -> Array:
-    """Mean gyro and accel (6,) over the stillest window."""
     windows = samples[: len(samples) // width * width].reshape(-1, width, 6) if len(samples) >= width else samples[None]
     spread = windows.std(axis=1)
     score = spread[:, :3].sum(axis=1) + spread[:, 3:].sum(axis=1) / GRAVITY

@@ -96,7 +96,6 @@ def _rgb(colour: str) -> Array:
 
 
 def _frame(vertices: Array) -> tuple[Array, Array]:
-    """South-west and north-east corner (north, east) with margins; never narrower than a third."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     middle, half = (low + high) / 2, (high - low) / 2
     half = np.maximum(half * 1.05 + 2.0, half.max() / 2.0)
@@ -111,7 +110,6 @@ def _figure_size(extent: Array) -> tuple[float, float]:
 
 
 def _names(axes: Axes, the_map: LandmarkMap, fills: Array) -> None:
-    """Names inside outlines where they fit, else beside them; largest landmarks first."""
     px_per_m = axes.get_window_extent().width / float(np.ptp(axes.get_xlim()))
     height, letter = (factor * _FONT_PT * _DPI / 72 / px_per_m for factor in (1.25, 0.62))
     d = the_map.description
@@ -155,7 +153,6 @@ def _meets(box: Array, others: Array) -> bool:
 
 
 def _within(box: Array, the_map: LandmarkMap, i: int) -> bool:
-    """Whether points all over the box lie inside outline i (even-odd rule)."""
     outline = the_map.columns.vertices[slice(*the_map.columns.offsets[i : i + 2])]
     n, e = np.meshgrid(np.linspace(box[0], box[2], 3), np.linspace(box[1], box[3], 9))
     a, b = outline, np.roll(outline, -1, axis=0)
@@ -167,7 +164,6 @@ def _within(box: Array, the_map: LandmarkMap, i: int) -> bool:
 
 
 def _scale_bar(axes: Axes) -> None:
-    """A round length, a fifth to a tenth of the width, in the strip below."""
     (west, east), (south, north) = axes.get_xlim(), axes.get_ylim()
     fifth = (east - west) / 5
     power = 10.0 ** np.floor(np.log10(fifth))

@@ -228,7 +228,6 @@ class _Seen:
 
 
 def _stretches(rows: list[Row], limit_m: float) -> list[Stretch]:
-    """Runs beyond the limit, each with its commonest lack."""
     found: list[Stretch] = []
     begin = 0  # of the time without a fix that leads there
     k = 0

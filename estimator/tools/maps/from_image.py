@@ -53,7 +53,6 @@ def resolution_m(ortho: Orthophoto) -> float:
 
 
 def _corners(region: Region) -> Array:
-    """(K, 2) px: the fitted polygon, else the contour without its wobble."""
     if region.corners is not None:
         return region.corners
     contour, corners = region.contour.astype(np.float32)[:, None], region.contour

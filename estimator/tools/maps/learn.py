@@ -119,7 +119,6 @@ def _read(log: Path, config: Config) -> tuple[list[Input], bool]:
 
 
 def _ground(messages: list[Input], origin: Origin, how: LearnConfig) -> float:
-    """Down of the ground: given, or GNSS in the first seconds."""
     if how.ground_alt_m is not None:
         return origin.to_ned(origin.lat_deg, origin.lon_deg, how.ground_alt_m)[2]
     fixes = [m for m in messages if isinstance(m, GnssFix) and m.status >= 0]
@@ -177,7 +176,6 @@ def _pose(smoothed: Smoothed, t_ns: int) -> Prior | None:
 
 
 def _regions(seen: Survey) -> Iterator[tuple[Region, Measured | None]]:
-    """Whole polygons that are no shadows, with their distance where it is reliable."""
     least = _DARK * float(np.median(seen.left.max(axis=2) if seen.left.ndim == 3 else seen.left))
     measured = [(m.region, None if seen.problem else m) for m in seen.measured]
     for region, m in [*measured, *((u.region, None) for u in seen.unmeasured)]:

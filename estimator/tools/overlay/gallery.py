@@ -59,7 +59,6 @@ def _scenery(
 
 
 def _choose(collected: Collected, gathered: Gathered) -> list[_Choice]:
-    """Attempts evenly over the flight: fixes and each kind of refusal."""
     aids = {aid.t_ns: aid for aid in collected.aids if aid.topic == FIX_TOPIC}
     fixes, refusals = list[_Choice](), dict[str, list[_Choice]]()
     for t_ns, frame in sorted(gathered.frames.items()):

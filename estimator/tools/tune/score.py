@@ -110,7 +110,6 @@ class _Stretches(NamedTuple):
 
 
 def _wanted(messages: Sequence[Input], truth: Trajectory | None, stretch: _Stretches, gnss_late_ns: int) -> list[Absolute]:
-    """What is compared, in order of validity: truth, or held fixes."""
     if truth is not None:
         return [z for z in _truths(truth) if z.t_ns >= stretch.begin_ns]
     held = [_at_validity(m, gnss_late_ns) for m in messages if isinstance(m, Absolute) and stretch.held_back(m)]
@@ -175,7 +174,6 @@ def _truths(truth: Trajectory) -> Iterator[PoseFix]:
 
 
 def _estimates(config: Config, messages: Sequence[Input], wanted_ns: Sequence[int]) -> list[Estimate | None]:
-    """The published estimate nearest to each of the times (in order); None where none is near."""
     fusion = Fusion(config.fusion())
     found: list[Estimate | None] = []
     before: Estimate | None = None

@@ -132,7 +132,6 @@ class Tuner:
         )
 
     def _coarse(self, start: Array) -> Array:
-        """The best of the start and a Sobol' sequence around it."""
         low, high = self._box()
         low, high = np.maximum(low, start - _DECADES), np.minimum(high, start + _DECADES)
         places = [start]
@@ -160,12 +159,10 @@ class Tuner:
         return np.asarray(result.x, float) if result.fun <= cost(start) else start
 
     def _aside(self, place: Array) -> list[Array]:
-        """Half and double of each parameter in turn."""
         low, high = self._box()
         return [np.clip(place + sign * _DOUBLED * row, low, high) for row in np.eye(len(place)) for sign in (-1.0, 1.0)]
 
     def _polished(self, place: Array) -> Array:
-        """The best of the point and its neighbours, repeated."""
         for _ in range(_ROUNDS):
             places = [place, *self._aside(place)]
             costs = [-summary(windows).score for windows in self._windows(places)]
@@ -214,7 +211,6 @@ class Tuner:
         return {key.name: from_search(key, float(x)) for key, x in zip(self._keys, place, strict=True)}
 
     def _windows(self, places: Sequence[Array]) -> list[list[Window]]:
-        """Windows of all logs at each place, cached."""
         return self._of([self._values(place) for place in places])
 
     def _of(self, several: Sequence[Values], logs: Sequence[str] = ()) -> list[list[Window]]:
