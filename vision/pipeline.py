@@ -102,7 +102,6 @@ class LandmarkPipeline:
         return with_regions(result, found.reports)
 
     def _predicted(self, images: Images, near: list[Landmark], t_ns: int, prior: Prior) -> Result | str:
-        """Result of predict and verify, or why segmentation comes next."""
         only = self._config.path == "predict"
         moves = self._predict.moves(images, near, prior)
         if moves is None:
@@ -124,7 +123,6 @@ class LandmarkPipeline:
         return result if only or settled or narrow else ""
 
     def _may_be_the_next_house(self, located: Result, images: Images, near: list[Landmark], prior: Prior) -> bool:
-        """Whether a repeated position of the map shows the same, or nearly so."""
         steps = _to_the_next_house(located, self._config.predict.most_fitted, near, prior)
         if located.pose is None or not len(steps):
             return False

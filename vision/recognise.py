@@ -146,7 +146,6 @@ class SegmentPath:
         return _Seen(kept, seen, refused, True, sightings.shared_scale_sigma(measured), images.remark)
 
     def _rows_off(self, views: _Views, matches: Sequence[Match | Unmatched]) -> float:
-        """Row difference of the pair beyond its calibration [px], 0 where they fit."""
         found = [m for m in matches if isinstance(m, Match)]
         limit = max(_ROWS_PX, 3.0 * self._rows_sigma_px)
         off = [m.vertical_px for m in found if abs(m.vertical_px) > limit + 3.0 * m.vertical_sigma_px]

@@ -159,7 +159,6 @@ class Recognisers:
         return replace(fixed, fix=None, report=msgspec.structs.replace(fixed.report, outcome="waiting", candidates=0))
 
     def _across(self, known: MapImage, rig: StereoRig, found: Registered | NotRegistered, last: Result, prior: Prior) -> Result:
-        """A fix across the line of best positions, or the last result."""
         peak, config = found.peak, self._config.peak
         pose = "" if peak is None else fit_ridge(rig, prior, known.image, peak, config)
         if isinstance(pose, str) or pose_flaw(pose, prior):

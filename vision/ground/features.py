@@ -198,7 +198,6 @@ def _of_large(image: Image, most: int) -> tuple[Array, Descriptors]:
 
 
 def _matches(mine: Descriptors, theirs: Descriptors, ratio: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows of distinct nearest descriptors in both, one to one."""
     cv2.setRNGSeed(0)  # the trees are random: a replay grows the same ones
     pairs = cv2.FlannBasedMatcher(_TREES, _CHECKS).knnMatch(mine.astype(np.float32), theirs.astype(np.float32), k=2)
     best: dict[int, cv2.DMatch] = {}

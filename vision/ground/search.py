@@ -181,10 +181,6 @@ def _correlation(image: Float, template: Float, mask: Float) -> Float:
 def _with_evidence(
     peak: Peak, searched: _Searched, seen: tuple[Float, Float, Float], map_image: GroundImage, ratio: float
 ) -> Peak:
-    """The peak with edge directions, and the line of best positions, if any.
-
-    seen: view, structure, mask.
-    """
     (k, i, j), reach, grid = searched.best, len(searched.inside) // 2, searched.grid
     turned, (height, width) = grid.turned(*searched.turns[k]), grid.shape
     ground = map_view(map_image, turned, reach)[0]

@@ -179,7 +179,6 @@ def _accept(
 
 
 def _position_posterior(landmark: NDArray[np.int64], probability: Array, accepted: NDArray[np.int64]) -> float:
-    """Probability of hypotheses (H, A) with an accepted identity (A,) and no contradiction."""
     same, contrary = landmark == accepted, (landmark != accepted) & (landmark != NONE)
     return float(probability[same.any(axis=1) & ~contrary.any(axis=1)].sum())
 

@@ -151,7 +151,6 @@ def _whitened(
     region: NDArray[np.int64], landmark: NDArray[np.int64], arm: Array, target: Array, variance: Array, features: Array,
     described: Array, known: NDArray[np.bool_],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_], Array, Array, Array]:  # fmt: skip
-    """Whitened rows and log density of every pair, well and badly measured."""
     y, A = _rows(p_n + moved[region], arm, features, target, described)
     N, unit = np.zeros((len(region), ROWS, ROWS)), np.eye(3)
     turn_variance = prior[3, 3] + prior[4, 4] + prior[5, 5]

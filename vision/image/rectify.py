@@ -72,7 +72,6 @@ def rectify(image: Image, maps: Maps | None) -> Image:
 
 
 def _is_rectified(rig: StereoRig) -> bool:
-    """Whether rows correspond already."""
     left, right, f = rig.left, rig.right, rig.left.fx
     lenses = any(left.distortion) or any(right.distortion)
     cameras = abs(np.array([left.fy - f, right.fx - f, right.fy - f, right.cy - left.cy])).max() <= _ALREADY * f

@@ -63,7 +63,6 @@ def learned(mapper: Mapper, ground_d: float, config: KeepConfig | None = None) -
 
 
 def _united(mapper: Mapper) -> list[Track]:
-    """Tracks at one position, as large, never in the same image, united."""
     united = list[Track]()
     for track in sorted(mapper.tracks, key=lambda t: -len(t.observations)):
         frames = {one.frame for one in track.observations}

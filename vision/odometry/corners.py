@@ -51,7 +51,6 @@ def _cells(px: Array, shape: tuple[int, ...]) -> NDArray[np.intp]:
 
 
 def _strongest_of_cells(px: Array, strength: Array, cell: NDArray[np.intp], wanted: int) -> NDArray[np.intp]:
-    """Strongest corners of each cell; slots of empty cells go to the others' next ones."""
     order = np.lexsort((px[:, 0], px[:, 1], -strength, cell))
     first = np.r_[True, np.diff(cell[order]) != 0]
     start = np.maximum.accumulate(np.where(first, np.arange(len(order)), 0))

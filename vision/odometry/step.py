@@ -147,7 +147,6 @@ class StereoOdometry:
         return Plane(n, h, sigma, float(np.radians(self.settings.slope_deg)), self.settings.roughness_m)
 
     def _tracks(self, first: Frame, second: Frame, raw: Array, prediction: Prediction, plane: Plane | None) -> Tracks:
-        """Raw-pixel corners followed to the right, the second, and its right image."""
         geometry = self._geometry
         px = self._left.rectified(raw)
         raw, px = raw[np.isfinite(px[:, 0])], px[np.isfinite(px[:, 0])]
@@ -235,7 +234,6 @@ class StereoOdometry:
     def _checked(
         self, tracks: Tracks, chosen: NDArray[np.bool_], prediction: Prediction, plane: Plane | None
     ) -> tuple[Solution, NDArray[np.bool_], str]:
-        """Solution of chosen points, inliers of all, and why it is unusable ("": usable)."""
         solution = self._solve(tracks, chosen, prediction, plane)
         inliers = chosen.copy()
         inliers[chosen] = solution.distances <= _INLIER * solution.scale**2
@@ -255,7 +253,6 @@ class StereoOdometry:
     def _second_motion(
         self, tracks: Tracks, inliers: NDArray[np.bool_], solution: Solution, prediction: Prediction, plane: Plane | None
     ) -> tuple[str, str]:
-        """(reason, remark): whether outliers move together, and whether the prediction separates them."""
         others = ~inliers
         count = int(others.sum())
         if count < max(_SECOND_POINTS, _SECOND_SHARE * len(inliers)):

@@ -75,7 +75,6 @@ def temporal(first: Image, second: Image, px: Array, guess: Array, H: Array) -> 
 
 
 def _flow(a: Image, b: Image, px: Array, guess: Array, levels: int) -> tuple[Array, NDArray[np.bool_]]:
-    """Pixels (N, 2) in b of pixels in a, and which return."""
     known: NDArray[np.bool_] = np.asarray(np.isfinite(guess).all(axis=1), np.bool_)
     if not known.any():
         return np.full((len(px), 2), np.nan), known

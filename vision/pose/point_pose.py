@@ -92,7 +92,6 @@ def _final(
     rig: StereoRig, points: Points, pose: Pose, prior: Prior, information: Array,
     map_sigma: tuple[float, float, float], config: PointConfig,
 ) -> PointPose | str:  # fmt: skip
-    """The last step, covariances fixed, outliers left out."""
     p_n, R_nb = pose
     used = np.ones(len(points.px), dtype=np.bool_)
     delta = difference(p_n, R_nb, prior.p_n, prior.q_nb_wxyz)

@@ -108,7 +108,6 @@ class Fitter:
         return again if _sigma_m(again.pose) < _NO_WORSE * _sigma_m(fit) else fitted
 
     def _found(self, views: Views, mark: Landmark, others: PoseEstimate) -> PoseEstimate | None:
-        """Pose from the others and one landmark; None where it does not stand there."""
         pose = others.joint_p_n, others.joint_R_nb
         about = Prior(pose[0], so3.from_matrix(pose[1]), others.joint_covariance)
         alone = estimate_pose(self._rig, views, [mark], pose, about, self._alone)
@@ -118,7 +117,6 @@ class Fitter:
         return alone if present[0] else None
 
     def _settled(self, marks: list[Landmark], hypothesis: Candidate, start: _Start, prior: Prior) -> Fitted | str:
-        """The fit without contradicting landmarks and image, or why none."""
         eye, v = eyes(self._rig)[int(start.views[0] is None)], self._config
         views, chosen, asked, remark = start.views, start.chosen, start.asked, start.remark
         before: tuple[Pose, Array] | None = None
@@ -172,11 +170,9 @@ class Fitter:
         return np.asarray(hypothesis.support > self._config.landmark_share * np.maximum(hypothesis.length, 1.0))
 
     def _answering(self, hypothesis: Candidate, chosen: list[int], asked: list[int]) -> list[int]:
-        """Landmarks whose outline must agree: of one alone, all in view."""
         return asked if len(chosen) > 1 else sorted({*asked, *np.flatnonzero(~self._seen(hypothesis)).tolist()})
 
     def _present(self, marks: list[Landmark], fit: PoseEstimate, seen: FinalCheck) -> Mask:
-        """Landmarks (L,) that the final check finds, near the map."""
         v = self._config
         whole = (seen.share >= v.landmark_found) & (seen.present > self._odds_whole)
         hidden = (seen.share >= v.hidden_found) & (seen.present > self._odds_hidden)
@@ -192,7 +188,6 @@ class Fitter:
         seen: FinalCheck,
         prior: Prior,
     ) -> float:
-        """verify.position_odds: fitted landmarks as fitted, others as mapped."""
         others = [k for k in np.flatnonzero(hypothesis.length > 0.0).tolist() if k not in chosen]
         some = [marks[k] for k in others]
         as_mapped = replace(fit, shift_m=np.zeros((len(some), fit.shift_m.shape[1])))
@@ -245,7 +240,6 @@ def _pair_sigma_px(rig: StereoRig) -> float:
 
 
 def _moved_px(eye: Eye, marks: list[Landmark], hypothesis: Candidate, chosen: list[int], fit: PoseEstimate) -> float:
-    """Median motion of roof middles from the search to the fit, px."""
     before = _middles(eye, marks, hypothesis.pose, hypothesis.shift_m[chosen])
     after = _middles(eye, marks, (fit.joint_p_n, fit.joint_R_nb), fit.shift_m)
     moved = np.linalg.norm(after - before, axis=1)
@@ -253,7 +247,6 @@ def _moved_px(eye: Eye, marks: list[Landmark], hypothesis: Candidate, chosen: li
 
 
 def _whole(fit: PoseEstimate) -> bool:
-    """Whether no direction is open."""
     return fit.directions is None
 
 

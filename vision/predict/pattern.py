@@ -83,7 +83,6 @@ def judged(
 
 
 def _only_shifts(move: Motion, config: CoarseConfig) -> bool:
-    """Whether small roofs are seen with only a common shift open."""
     ends_px = config.sigmas * max(move.turn_rad, move.log_scale) * move.radius
     return move.roof_px < _ROOF_PX and ends_px <= _STIFF_PX
 
@@ -137,7 +136,6 @@ def _grid(move: Motion, config: CoarseConfig) -> tuple[int, Array, Array, Array]
 
 
 def _as_fix(result: Result, rig: StereoRig, marks: Sequence[Landmark], move: Motion, best: Summit, *, alone: bool) -> Result:
-    """The summit as a fix of the outlines' middle; rig: whose left camera saw it."""
     p_nc, R_nc = rig.camera_pose(*move.pose(move.gain @ best.q))
     bodies = Prisms.of(marks)
     roofs = bodies.roofs

@@ -164,7 +164,6 @@ class PredictPath:
         return known
 
     def _decide(self, images: Images, marks: list[Landmark], candidates: list[Candidate], prior: Prior) -> _Decided | _Refused:
-        """The one position left of those searched, by votes and fit."""
         if not candidates:
             return _Refused("not_found", "nothing of the outlines in view")
         v, best = self._config.verify, candidates[0]
@@ -234,7 +233,6 @@ def nearer_and_farther(marks: list[Landmark], hypothesis: Candidate, seen: Mask,
 
 
 def _in_view(eye: Eye, near: Sequence[Landmark], prior: Prior, limit_px: float, most: int) -> list[Landmark]:
-    """At most `most` landmarks with roofs within limit_px of the image, most in view first."""
     pinhole, p_n = straight(eye), np.asarray(prior.p_n, dtype=float)
     p_nk, R_nk = pinhole.pose(p_n, prior.R_nb)
     ends, mark = roofs_in_view(pinhole, near, (p_n, prior.R_nb), limit_px)
@@ -258,7 +256,6 @@ def _settled(one: RegionReport, used: tuple[str, ...]) -> RegionReport:
 
 
 def _as_fitted(found: _Decided) -> Candidate:
-    """The position with the fit's pose and map errors."""
     hypothesis, fit = found.hypothesis, found.fitted.pose
     shift_m = hypothesis.shift_m.copy()
     shift_m[found.fitted.used] = fit.shift_m

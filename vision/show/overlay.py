@@ -205,7 +205,6 @@ def _edges(camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[La
 
 
 def _lines(camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[Landmark]) -> list[list[tuple[Kind, Array]]]:
-    """Visible edges per landmark: kind and points (P, 2), cut where hidden."""
     lines: list[list[tuple[Kind, Array]]] = [[] for _ in landmarks]
     for landmark, kind, px, shown in zip(*_edges(camera, p_nc, R_nc, landmarks), strict=True):
         breaks = np.flatnonzero(~shown)
@@ -216,7 +215,6 @@ def _lines(camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[La
 
 
 def _draw_lines(canvas: Canvas, lines: list[tuple[Kind, Array]], colour: Bgr, width: float) -> None:
-    """Light on dark lines; roofs thicker than sides."""
     for under in (True, False):
         for kind, px in lines:
             thick = max(1, round(width if kind == Kind.ROOF else width / 2)) + (2 if under else 0)
@@ -255,7 +253,6 @@ def _write(canvas: Canvas, text: str, left: int, top: int, size: int, colour: Bg
 
 
 def _draw_caption(canvas: Canvas, caption: Sequence[str], scale: float) -> list[tuple[int, int, int, int]]:
-    """The lines at the lower left; returns the boxes (left, top, right, bottom) they take."""
     size = round(14 * scale)
     boxes = []
     for k, text in enumerate(reversed(caption)):

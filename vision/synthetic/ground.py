@@ -109,7 +109,6 @@ def _stones(texture: Grid, count: int, rng: np.random.Generator) -> Grid:
 
 
 def _sizes(least: float, most: float, count: int, rng: np.random.Generator) -> Array:
-    """Radii whose density falls as 1 / r^2."""
     u = rng.random(count)
     return np.asarray(1.0 / (1.0 / least + u * (1.0 / most - 1.0 / least)))
 
@@ -135,7 +134,6 @@ def _cover() -> Grid:
 
 
 def _fields(count: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], Grid]:
-    """Periodic Voronoi cells with ragged borders: field of each texel, distance to the border."""
     n = COVER_SIZE
     positions = rng.uniform(0, n, (count, 2))
     wander = 7.0 * np.stack([noise(n, 1.6, rng), noise(n, 1.6, rng)])

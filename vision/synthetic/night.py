@@ -45,7 +45,6 @@ def _thing(appearance: Appearance, rng: np.random.Generator) -> Appearance:
 
 
 def _wall(level: float) -> tuple[float, float, float]:
-    """A wall's own warmth, independent of the sky."""
     return _warmth(level / SKY)
 
 

@@ -90,7 +90,6 @@ def make_world(seed: int, spec: WorldSpec | None = None, ground: Ground | None =
 
 
 def _positions(spec: WorldSpec, rng: np.random.Generator) -> list[tuple[float, float, float]]:
-    """North, east, direction of buildings: on a shaken grid, or along streets."""
     n = max(1, int(spec.area_m / spec.spacing_m))
     steps = (np.arange(n) - 0.5 * (n - 1)) * spec.spacing_m
     positions = []
