@@ -249,7 +249,6 @@ def features(data: bytes) -> tuple[File, list[msgspec.Raw]]:
 
 
 def _other_form(data: bytes) -> str:
-    """Name of another map format and its converter; empty if unknown."""
     head = data[:4096]
     xml = head.lstrip().startswith(b"<")
     for name, seen in (
@@ -268,7 +267,6 @@ def _other_form(data: bytes) -> str:
 
 
 def _otherwise(data: bytes, error: str) -> list[msgspec.Raw]:
-    """Features of a file that is not one JSON text: a line each, or with NaN (null)."""
     try:
         lines = msgspec.json.Decoder(msgspec.Raw).decode_lines(data)
         if len(lines) > 1:
@@ -283,7 +281,6 @@ def _otherwise(data: bytes, error: str) -> list[msgspec.Raw]:
 
 
 def _why(raw: msgspec.Raw, error: str) -> str:
-    """Why a feature could not be decoded, by its geometry if possible."""
     try:
         kind = msgspec.json.decode(raw)["geometry"]["type"]
     except (*_UNDECODABLE, KeyError, TypeError):

@@ -117,7 +117,6 @@ def _right_angles(sides: Array, after: NDArray[np.int64]) -> float:
 
 
 def _lonlat(crs: Any, xy: Array) -> Array:
-    """Longitude, latitude of the file's coordinates."""
     name = str(crs["properties"].get("name", "")) if isinstance(crs, dict) and isinstance(crs.get("properties"), dict) else ""
     if not name or "CRS84" in name:
         return xy
@@ -142,7 +141,6 @@ def _in_range(parts: Parts, lonlat: Array, offsets: NDArray[np.int64]) -> NDArra
 
 
 def _middle(lonlat: Array, offsets: NDArray[np.int64], good: NDArray[np.bool_], ground_alt: Array) -> Vec3:
-    """An origin: median position and ground altitude (default 0)."""
     lon, lat = lonlat[offsets[:-1][good]].T
     if len(lon) == 0:
         return 0.0, 0.0, 0.0

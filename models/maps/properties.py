@@ -147,7 +147,6 @@ def _text(identifier: Any) -> str:
 
 
 def _height(p: Properties, defaults: Defaults, missing: list[str], remarks: list[str]) -> tuple[float, float]:
-    """Height and sigma: measured, by storeys, or a guess."""
     height = _number("height_m", p.height_m, 0.0, 1e3, remarks)
     if height is not None:
         return height, 0.0 if height == 0.0 else 0.5
@@ -166,7 +165,6 @@ def _height(p: Properties, defaults: Defaults, missing: list[str], remarks: list
 
 
 def _number(name: str, value: Any, low: float, high: float, remarks: list[str]) -> float | None:
-    """A number or a length as text, within bounds."""
     if value is None:
         return None
     number = value if isinstance(value, (int, float)) and not isinstance(value, bool) else _length(value)

@@ -131,7 +131,6 @@ def make_pose_fixes(
 
 
 def _falsify(source: PoseFixes, t_s: Seconds, p_n: Array, theta_n: Array, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Add outliers and false spans in place; false fixes (n,)."""
     n = len(t_s)
     false = rng.random(n) < source.outlier_share
     for error, (least, most) in ((p_n, source.outlier_m), (theta_n, np.radians(source.outlier_deg))):
@@ -161,7 +160,6 @@ def _pose_covariance(sigma_m: Sigma3, sigma_deg: Sigma3) -> Array:
 
 
 def _instants(rate_hz: float, duration_s: float, epoch_ns: int, rng: np.random.Generator) -> tuple[Seconds, Stamps]:
-    """Times [s] from the start and stamps of a source, at a random phase."""
     period_ns = round(1e9 / rate_hz)
     since_ns = np.arange(rng.integers(period_ns), round(duration_s * 1e9), period_ns, dtype=np.int64)
     return np.asarray(since_ns * 1e-9, dtype=np.float64), epoch_ns + since_ns

@@ -45,7 +45,6 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         return in_order(result)
 
     def _become(self, message: Input, at: "_Moment") -> list[Input]:
-        """What one message becomes: none, one or several."""
         raise NotImplementedError  # each kind says it; a msgspec Struct cannot be an ABC as well
 
 
@@ -250,7 +249,6 @@ def _known(origin: Origin | None) -> Origin:
 
 
 def _displaced(message: Input, offset_n: Array, origin: Origin | None) -> Input:
-    """A position fix moved in n; any other message as it is."""
     if isinstance(message, PoseFix):
         return _with(message, p_n=vec3(offset_n + message.p_n))
     if not isinstance(message, GnssFix):

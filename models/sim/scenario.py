@@ -158,7 +158,6 @@ def _truth(t_ns: NDArray[np.int64], motion: Motion, record: ImuRecord) -> Truth:
 
 
 def _config_toml(scenario: Scenario, noise: ImuNoise) -> str:
-    """The configuration an engineer would have: grade, lever arm, delay, origin."""
     lines = ["[imu]", 'axes = "flu"']
     lines += [f"{name} = {value!r}" for name, value in msgspec.structs.asdict(noise).items()]
     imus = [f'"{topic}"' for topic in (_topic(ImuSample), *map(_other_topic, range(len(scenario.other_imus))))]
@@ -183,10 +182,8 @@ def _config_toml(scenario: Scenario, noise: ImuNoise) -> str:
 
 
 def _topic(kind: type[msgspec.Struct]) -> str:
-    """The topic that messages of this kind have by default."""
     return next(str(f.default) for f in msgspec.structs.fields(kind) if f.name == "topic")
 
 
 def _other_topic(k: int) -> str:
-    """The topic of the k-th IMU besides the first."""
     return f"{_topic(ImuSample)}{k + 2}"

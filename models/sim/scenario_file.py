@@ -33,7 +33,6 @@ def loads(text: str | bytes, name: str = "scenario") -> Scenario:
 
 
 def _check(info: mi.Type, value: Any, path: str) -> None:
-    """Check values by type. Raises ScenarioError for unknown keys and non-finite numbers."""
     if isinstance(value, float) and not math.isfinite(value):
         raise ScenarioError(f"{path} = {value}: must be a finite number")
     if isinstance(value, list):
@@ -59,7 +58,6 @@ def _check(info: mi.Type, value: Any, path: str) -> None:
 
 
 def _alternatives(info: mi.Type) -> Iterator[mi.Type]:
-    """The types a value may have: float | None gives both."""
     if isinstance(info, mi.Metadata):
         yield from _alternatives(info.type)
     elif isinstance(info, mi.UnionType):

@@ -121,7 +121,6 @@ def _pnm(data: Bytes) -> ImageHeader | None:
 
 
 def _tiff(data: Bytes) -> ImageHeader | None:
-    """The first directory, which is the one that is decoded."""
     order, big = "<" if data[:2] == b"II" else ">", data[2:4] in (b"+\0", b"\0+")
     (start,) = struct.unpack_from(f"{order}{'Q' if big else 'I'}", data, 8 if big else 4)
     (count,) = struct.unpack_from(f"{order}{'Q' if big else 'H'}", data, start)
