@@ -105,7 +105,6 @@ def _sub_pixel(image: Level, px: Array, windows: NDArray[np.int64]) -> Array:
 
 
 def _straightened(px: Array, windows: NDArray[np.int64], size: Size) -> Array:
-    """Corners (N, 2) corrected for curved edges."""
     grid = px.reshape(size[1], size[0], 2)
     normals, pulls = [], []
     for axis in (0, 1):
@@ -133,7 +132,6 @@ def spacing(px: Array, size: Size) -> Array:
 
 
 def _pattern(px: Array, size: Size) -> tuple[Array, NDArray[np.bool_]]:
-    """Corners by a robust homography and cubic, and which are off it."""
     xy = np.mgrid[0 : size[0], 0 : size[1]].T.reshape(-1, 2).astype(np.float64)
     H, _ = cv2.findHomography(xy, px, cv2.LMEDS)
     if H is None:

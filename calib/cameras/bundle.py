@@ -202,7 +202,6 @@ def _step(terms: list[_Terms], damping: float, m: int) -> tuple[Array, list[Arra
 
 
 def _moved(problem: Problem, mask: NDArray[np.bool_], ds: Array, dv: list[Array]) -> Problem | None:
-    """The problem after a step; None where cameras become invalid or corners unseen."""
     d = np.zeros(len(mask))
     d[mask] = ds
     cameras, at = [], 0

@@ -161,7 +161,6 @@ def cross_validate(solution: Solution) -> tuple[HeldOut, Array]:
 
 
 def _rms_or_nan(problem: Problem) -> float:
-    """Residual; nan where the lens model folds before the corners."""
     try:
         return adjust(problem).rms
     except CalibrationError:

@@ -141,7 +141,6 @@ def shared(pair: Pair, board: Board) -> Pair | None:
 
 
 def _start(pairs: Sequence[Pair], board: Board, lens: Lens) -> Problem:
-    """Both cameras alone; rotation of the median pair, median translation."""
     left, right = (adjust(mono.start([p[side] for p in pairs], board, lens)).problem for side in (0, 1))
     R = np.array([b.R @ a.R.T for a, b in zip(left.poses, right.poses, strict=True)])
     t = np.array([b.t - R_rc @ a.t for a, b, R_rc in zip(left.poses, right.poses, R, strict=True)])

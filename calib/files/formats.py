@@ -132,7 +132,6 @@ def save_mounted(path: str | Path, rig: StereoRig) -> list[Path]:
 
 
 def _on_body(path: Path, text: str, mount: BodyPose | None) -> StereoRig:
-    """Rig or one camera of a file, mounted by file or `mount`."""
     camera, rig = _one_camera(path, text)
     if camera is None:
         rig = _rig(path, text)
@@ -148,7 +147,6 @@ def _on_body(path: Path, text: str, mount: BodyPose | None) -> StereoRig:
 
 
 def _one_camera(path: Path, text: str) -> tuple[CameraModel | None, StereoRig | None]:
-    """The camera of a one-camera file, and it on the body where given."""
     where = str(path)
     if _is_opencv(text):
         return (opencv.read_camera(text, where) if opencv.holds_one_camera(text, where) else None), None

@@ -159,7 +159,6 @@ class _Problem:
         return state.pack(), P
 
     def _level(self) -> Array:
-        """R_no that turns the mean specific force in the board's frame upwards."""
         at = self.stamps_ns + np.int64(round(1e9 * self.offset0))
         f = np.column_stack([np.interp(at, self.imu.t_ns, a) for a in self.imu.accel.T])
         up = np.mean([R.T @ self.R_bc0.T @ a for R, a in zip(self.poses.R_co, f, strict=True)], axis=0)
@@ -199,7 +198,6 @@ def first_rotation(imu: Recording, stamps_ns: Times, poses: BoardPoses) -> tuple
 
 
 def _check_turned(rate_b: Array) -> None:
-    """Refuse camera rates (N, 3) that do not determine a rotation."""
     spread = np.sqrt(np.sort(np.linalg.eigvalsh(np.cov(rate_b.T)))[::-1])
     if spread[0] < _STILL_RAD_S:
         raise CalibrationError("the camera hardly turned: turn it about all three axes, briskly, for a minute, board in view")
@@ -249,7 +247,6 @@ def _jacobian(problem: _Problem, theta: Array) -> Array:
 
 
 def _covariance(problem: _Problem, theta: Array, J: Array, e: Array) -> tuple[Array, float]:
-    """Covariance of theta, and mean square innovation (>= 1)."""
     scale = np.linalg.norm(J, axis=0)
     inverse = np.linalg.pinv((J / scale).T @ (J / scale), hermitian=True) / np.outer(scale, scale)
     mean_square = float(e @ e) / (len(e) - _SIZE)

@@ -170,7 +170,6 @@ def _solve(f: Array, sigma: float, gravity: float) -> SixPosition:
 
 
 def _is_noise(n: Noise) -> bool:
-    """Whether a part of what was fitted is white where the fit begins."""
     first = n.adev[n.tau_s == n.white_from_s]
     return not len(first) or bool(n.density**2 >= _NOISE_PART * n.white_from_s * first[0] ** 2)
 

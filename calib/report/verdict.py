@@ -122,7 +122,6 @@ def _beyond(held_out: HeldOut) -> Figure:
 
 
 def _flat(solution: Solution) -> Figure:
-    """Loose limits: what a bow does is in the sigmas, and these judge it."""
     return Figure("bow of the board over its length", 100.0 * solution.bow, "%", 0.3, 1.0, _FLAT)
 
 
