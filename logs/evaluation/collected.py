@@ -238,12 +238,10 @@ def _truth(path: Path, topic: str, sheaf: _Sheaf | None, origin: Origin | None) 
 
 
 def _reference(attachments: Iterable[Attachment]) -> str:
-    """What an importer wrote that /truth is."""
     return next((a.data.decode(errors="replace") for a in attachments if a.name == REFERENCE_ATTACHMENT), "")
 
 
 def _positions(sheaf: _Sheaf, origin: Origin | None) -> Trajectory | None:
-    """Body or antenna positions in a topic's messages; None without any."""
     if sheaf.schema in POSE_TYPES:
         return decode(sheaf.schema, sheaf.data, sheaf.arrived_ns)
     if sheaf.schema == schemas.NAV_SAT_FIX and origin is not None:
@@ -287,7 +285,6 @@ def _health(sheaf: _Sheaf) -> tuple[HealthPoint, ...]:
 
 
 def _waited_for(sheaf: _Sheaf) -> str:
-    """What the last Health with a detail waits for."""
     details = [pair.value for _, m in sheaf.messages() for status in m.status for pair in status.values if pair.key == "detail"]
     return next((detail for detail in reversed(details) if detail), "it does not say why")
 

@@ -102,7 +102,6 @@ def compare(estimate: Trajectory, truth: Trajectory, every: int = 1) -> Comparis
 
 
 def _known(covariance: Array) -> Array:
-    """The truth's covariance, zero where not given."""
     variances = np.diagonal(covariance, axis1=1, axis2=2)
     given = np.isfinite(covariance).all(axis=(1, 2)) & ((variances >= 0.0) & (variances < _NOT_GIVEN_M2)).all(axis=1)
     return np.where(np.reshape(given, (-1, 1, 1)), covariance, 0.0)
@@ -173,7 +172,6 @@ def _outages_of(points: list[tuple[int, int]], start: int, end: int, longer_than
 
 
 def _in_all(outages: list[Outages]) -> Outages:
-    """Common outages of all sources, slivers excluded."""
     threshold_s = min(o.longer_than_s for o in outages)
     spans = reduce(metrics.common, (o.spans for o in outages))
     return Outages(threshold_s, [(a, b) for a, b in spans if b - a > 1e9 * threshold_s])
@@ -334,7 +332,6 @@ def _consistency(c: Comparison, aided: Mask) -> ConsistencySummary:
 def _outage(
     source: str, span: tuple[int, int], comparison: Comparison, start: int, steps: Times, beside: Comparison | None
 ) -> Outage:
-    """steps: fusion times of odometry; beside: the flight without it."""
     without = beside.p_error[metrics.within(beside.t_ns, [span])] if beside is not None else np.empty((0, 3))
     c = comparison[metrics.within(comparison.t_ns, [span])]
     attitude = np.rad2deg(np.linalg.norm(c.theta_error[c.has_attitude], axis=1))
@@ -381,7 +378,6 @@ def _aid_summary(topic: str, kind: str, group: list[AidStatus]) -> AidSummary:
 
 
 def _latency(collected: Collected) -> dict[str, Percentiles]:
-    """Arrival - validity of the estimate, s."""
     late = _percentiles(((collected.estimate.arrived_ns - collected.estimate.t_ns) * 1e-9).astype(float))
     return {"/landfix/odometry": late} if late else {}
 

@@ -147,7 +147,6 @@ def _draw_error(axes: Axes, c: Comparison, error: Array, sigma: Array, collected
 
 
 def _compress_outages(axes: Axes, sigma: Array, aided: Array) -> None:
-    """Logarithmic beyond the usual band, where outages would hide the rest."""
     usual = float(np.median(aided)) if len(aided) else np.inf
     if np.nanmax(sigma, initial=0.0) > 12.0 * usual > 0.0:
         linear = 10.0 ** np.ceil(np.log10(_SIGMAS_95 * usual))
@@ -211,12 +210,10 @@ def _seconds(t_ns: Times, start_ns: int) -> Array:
 
 
 def _thinned(n: int) -> Indices:
-    """Rows to draw of n."""
     return np.arange(0, n, max(1, -(-n // _MOST_POINTS)))
 
 
 def _set_limits(axes: Axes, p: Array) -> float:
-    """A square around finite points; far false fixes do not count; half its side."""
     p = p[np.isfinite(p).all(axis=1)]
     low, high = p.min(axis=0), p.max(axis=0)
     middle, half = 0.5 * (low + high), 0.55 * float((high - low).max()) + 0.5

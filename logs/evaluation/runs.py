@@ -155,7 +155,6 @@ def comma_separated(runs: Sequence[Run]) -> str:
 
 
 def _cells(runs: Sequence[Run], wanted: Sequence[str]) -> tuple[list[str], list[list[str]], set[tuple[int, int]]]:
-    """Filled fields, rows as text (medians last from three runs), best cells."""
     fields = [f for f in wanted if any(getattr(run, f) is not None for run in runs)]
     rows = [[_cell(f, getattr(run, f)) for f in fields] for run in runs]
     if len(runs) >= _MEDIAN_FROM:
@@ -185,7 +184,6 @@ def _finite(value: float) -> float | None:
 
 
 def _names(paths: Sequence[str]) -> list[str]:
-    """File names where distinct, else relative paths; without .mcap."""
     whole = [Path(os.path.realpath(path.removesuffix(".mcap"))) for path in paths]
     if len({path.name for path in whole}) == len(paths):
         return [path.name for path in whole]

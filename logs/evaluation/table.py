@@ -136,7 +136,6 @@ def integrity(i: IntegritySummary) -> Rows:
 
 
 def _against(r: Regions, limit_m: float | None, risks_per_hour: Sequence[float]) -> dict[str, str]:
-    """What the table has of one direction."""
     of_limit = ("none", "-", "-", "-")
     if limit_m is not None:
         of_limit = (number(limit_m), f"{r.available:.1%}", str(r.hazardous), str(r.unavailable))

@@ -67,7 +67,6 @@ def decode(schema: str, data: Sequence[bytes], arrived_ns: Sequence[int]) -> Tra
 
 
 def _stamps(data: Sequence[bytes]) -> Times:
-    """header.stamp of messages with a leading Header, ns."""
     little = all(d[1] & 1 for d in data)
     head = b"".join(d[_ENCAPSULATION : _ENCAPSULATION + 8] for d in data)
     sec_nanosec = np.frombuffer(head, [("sec", "<i4"), ("nanosec", "<u4")] if little else [("sec", ">i4"), ("nanosec", ">u4")])
@@ -113,7 +112,6 @@ def decode_geodetic(data: Sequence[bytes], arrived_ns: Sequence[int], origin: Or
 
 
 def _navsat_status(d: bytes) -> int:
-    """Status byte of a NavSatFix, behind the frame_id."""
     return _ENCAPSULATION + 12 + int(np.frombuffer(d, "<u4", 1, _ENCAPSULATION + 8)[0])
 
 

@@ -61,7 +61,6 @@ def table(log: Path, topic: str = ODOMETRY_TOPIC, rate_hz: float = 0.0, progress
 
 
 def _geoid_m(attachments: Iterable[Attachment]) -> float:
-    """[map] geoid_m of the log's configuration, or 0."""
     texts = [a.data.decode(errors="replace") for a in attachments if a.name == CONFIG_ATTACHMENT]
     try:
         return float(toml_text.table(texts[-1])["map"]["geoid_m"])
@@ -96,7 +95,6 @@ def _columns(trajectory: Trajectory, origin: Origin | None, health: tuple[Health
 
 
 def _sigma(P: Array) -> Array:
-    """Sigmas (n, 6) of x y z rx ry rz; nan: not given."""
     variances = np.diagonal(P, axis1=1, axis2=2)
     given = (variances >= 0.0) & (variances < _NOT_GIVEN_M2)
     return np.sqrt(np.where(given, variances, np.nan))

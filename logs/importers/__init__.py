@@ -116,7 +116,6 @@ def convert(
 
 
 def _encoded(recording: Recording, source: Path, watch: Watch) -> Iterator[tuple[Encoded, int]]:
-    """Wire messages with arrivals; unencodable numbers are damage."""
     with refusing(LogError, source):
         for message in recording:
             if not isinstance(message, Truth):

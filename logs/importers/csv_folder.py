@@ -92,7 +92,6 @@ class _Reader:
 
 
 def _checks(folder: Path) -> dict[str, object]:
-    """The content of checks.json: t0_unix_ns, origin_lla."""
     path = folder / "checks.json"
     try:
         checks = json.loads(path.read_text()) if path.is_file() else {}
@@ -212,7 +211,6 @@ def _field(reader: _Reader, B: Array) -> list[Stream]:
 
 
 def _airspeed(reader: _Reader) -> tuple[list[Stream], bool]:
-    """Airspeed along the nose, and whether indicated."""
     table = reader.table("airspeed", "airdata")
     true = None if table is None else table.find(_TRUE_AIRSPEED)
     speed = table.find(_INDICATED_AIRSPEED) if table is not None and true is None else true
@@ -247,7 +245,6 @@ def _truth(reader: _Reader, options: ImportOptions, B: Array) -> Stream | None:
 
 
 def _vision(reader: _Reader, options: ImportOptions, B: Array, purpose: str) -> tuple[Table, Array, Array]:
-    """vision.csv with its positions and attitudes."""
     table = reader.table("vision")
     if table is None:
         raise LogError(f"{reader.folder}: no vision.csv in it to take {purpose} from")
@@ -263,7 +260,6 @@ def _odometry(reader: _Reader, options: ImportOptions, B: Array) -> Stream:
 
 
 def _pose_fixes(reader: _Reader, options: ImportOptions, B: Array) -> Stream:
-    """Poses of vision.csv as fixes, first of each period."""
     table, p_n, q_nb = _vision(reader, options, B, "pose fixes")
     period_ns = round(1e9 / options.pose_fix_hz)
     _, rows = np.unique((table.t_ns - table.t_ns[0]) // period_ns, return_index=True)

@@ -154,7 +154,6 @@ def read_table(path: Path, t0_ns: int | None = None) -> Table:
 
 
 def _check_digits(file: str, t_ns: Times) -> None:
-    """Raise LogError where hundreds of stamps (n,) are equal."""
     distinct = len(np.unique(t_ns))
     if len(t_ns) >= _SAME_STAMP * distinct:
         values = "one value" if distinct == 1 else f"{distinct} values"
@@ -173,7 +172,6 @@ def _plain(header: str) -> str:
 
 
 def _text(path: Path) -> tuple[str, bool]:
-    """Unpacked text, and whether its end is missing."""
     try:
         if path.suffix != ".gz":
             data, torn = content(path), False

@@ -109,7 +109,6 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
 
 
 def _open(source: Path) -> Any:
-    """pymavlink's reader. Raises LogError."""
     try:
         with opened(source) as file:
             magic = file.read(len(_MAGIC))
@@ -184,7 +183,6 @@ def _imu(source: Path, tables: Tables, name: str, timebase_us: int, notes: list[
 
 
 def _gnss(source: Path, tables: Tables, suffix: str, timebase_us: int) -> list[Stream]:
-    """Position and velocity of a receiver; suffix "" or "2"."""
     table, topic = tables.get(f"GPS{suffix}"), f"/gnss{suffix}"
     if table is None:
         return []
@@ -241,7 +239,6 @@ def _delay_s(parameters: Mapping[str, float], gnss: Stream) -> float:
 
 
 def _sensors(tables: Tables, timebase_us: int) -> list[Stream]:
-    """The optional sensors."""
     streams = []
     for name, kind, unit in _SENSORS:
         table = tables.get(name)
@@ -264,7 +261,6 @@ def _range(tables: Tables, timebase_us: int) -> list[Stream]:
 
 
 def _odometry(tables: Tables, timebase_us: int, notes: list[str]) -> list[Stream]:
-    """Poses from outside: metres and degrees."""
     table = tables.get("VISP")
     if table is None:
         return []
@@ -328,7 +324,6 @@ def _simulated(tables: Tables, timebase_us: int) -> tuple[Stream, Vec3] | None:
 
 
 def _own_estimate(tables: Tables, timebase_us: int) -> Stream | None:
-    """The state of the autopilot's own filter."""
     table = next((tables[name] for name in _FILTERS if name in tables), None)
     if table is None:
         return None
@@ -347,7 +342,6 @@ def _attitude(own: Stream, tables: Tables, timebase_us: int) -> Stream:
 
 
 def _origin_rows(tables: Tables) -> NDArray[np.intp]:
-    """Rows of ORGN with an EKF origin (type 0)."""
     table = tables.get("ORGN")
     return np.flatnonzero(table["Type"] == 0) if table else np.array([], int)
 

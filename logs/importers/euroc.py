@@ -74,7 +74,6 @@ def _truth(mav: Path, W: Array, B: Array, notes: list[str]) -> Stream | None:
 
 
 def _noise(path: Path) -> tuple[ImuNoise | None, str]:
-    """Effective noise from sensor.yaml; None if incomplete."""
     text = content(path).decode(errors="replace") if path.is_file() else ""
     values = {}
     for name, (key, factor) in _SHEET.items():

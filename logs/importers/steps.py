@@ -63,7 +63,6 @@ def wheels(t_ns: Times, arrived_ns: Times, metres: Array) -> list[Stream]:
 
 
 def _stream(topic: str, made: list[tuple[int, OdometryDelta]] | list[tuple[int, Reading]]) -> list[Stream]:
-    """Messages at their last row's arrival."""
     if not made:
         return []
     t_ns, arrived_ns = np.array([m.t_ns for _, m in made]), np.array([arrived for arrived, _ in made])
@@ -75,7 +74,6 @@ def _stream(topic: str, made: list[tuple[int, OdometryDelta]] | list[tuple[int, 
 
 
 def _turned(imu: Stream, t0_ns: Times, t_ns: Times) -> Array:
-    """(n, 3) rad: gyroscope integral from t0 to t."""
     order = np.argsort(imu.t_ns, kind="stable")
     at, rate = imu.t_ns[order], imu.columns[0][order]
     seconds = (at - at[0]) * 1e-9
@@ -85,7 +83,6 @@ def _turned(imu: Stream, t0_ns: Times, t_ns: Times) -> Array:
 
 
 def _finder(stream: Stream | None, t_ns: Times) -> Array:
-    """(n,) m: nearest reading; nan beyond 0.5 s."""
     if stream is None or not len(stream):
         return np.full(len(t_ns), np.nan)
     order = np.argsort(stream.t_ns, kind="stable")

@@ -257,7 +257,6 @@ def _imu(source: Path, tables: Mapping[str, _Table], wanted: str, autopilot: int
 
 
 def _other_imus(tables: Mapping[str, _Table], imu: Stream, notes: list[str]) -> list[Stream]:
-    """Further IMUs, without copies and slow ones."""
     streams: list[Stream] = []
     for name in (n for n in _OTHER_IMUS if n in tables):
         table = tables[name]
@@ -338,7 +337,6 @@ def _range(tables: Mapping[str, _Table]) -> list[Stream]:
 
 
 def _field(tables: Mapping[str, _Table], autopilot: int) -> list[Stream]:
-    """Field of the best IMU message; repeated rows are no reading."""
     for name in _usable(tables, autopilot):
         table = tables[name]
         field_b = table.vector("xmag", "ymag", "zmag")
@@ -368,7 +366,6 @@ def _wheels(tables: Mapping[str, _Table]) -> list[Stream]:
 
 
 def _odometry(tables: Mapping[str, _Table], notes: list[str]) -> list[Stream]:
-    """External body poses; frames looking down; quality < 0: lost."""
     table = tables.get("ODOMETRY")
     if table is None:
         return []
@@ -409,7 +406,6 @@ def _flow(tables: Mapping[str, _Table], imu: Stream, notes: list[str]) -> list[S
 
 
 def _usable(tables: Mapping[str, _Table], autopilot: int) -> list[str]:
-    """IMU messages in physical units, best first; other RAW_IMU are counts."""
     return [n for n in _IMUS if n in tables and (n != "RAW_IMU" or autopilot == _ARDUPILOT)]
 
 
@@ -424,7 +420,6 @@ def _simulated(tables: Mapping[str, _Table]) -> tuple[Stream, Vec3] | None:
 
 
 def _own_estimate(tables: Mapping[str, _Table]) -> Stream | None:
-    """The state of the autopilot's own filter."""
     position, attitude = tables.get("LOCAL_POSITION_NED"), tables.get("ATTITUDE")
     if position is None or attitude is None:
         return None

@@ -81,7 +81,6 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
 
 
 def _receiver(data: Sequence[Any], notes: list[str]) -> Topic | None:
-    """Receiver with most 3-D fixes, else the autopilot's choice; a note on others."""
     receivers = [d for name in ("vehicle_gps_position", "sensor_gps") for d in data if d.name == name]
     if not receivers:
         return None
@@ -113,7 +112,6 @@ class _Finite(io.BufferedReader):
 
 
 def _open(source: Path) -> Any:
-    """The parsed file; needs the extra tools."""
     try:
         from pyulog import ULog  # noqa: PLC0415 (an extra)
     except ModuleNotFoundError:
@@ -135,7 +133,6 @@ def _open(source: Path) -> Any:
 
 
 def _clock(receiver: Topic | None, notes: list[str]) -> int:
-    """Offset of the log's stamps [us] to 1970."""
     if receiver is not None and receiver["timestamp"][0] > _UNIX_US:
         return 0
     if receiver is not None:
@@ -281,7 +278,6 @@ def _heading(topic: Topic, clock_us: int) -> list[Stream]:
 
 
 def _field(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
-    """Calibrated field in use, else raw magnetometer; gauss."""
     topic, names = topics.get("vehicle_magnetometer"), ("magnetometer_ga[0]", "magnetometer_ga[1]", "magnetometer_ga[2]")
     if topic is None:
         topic, names = topics.get("sensor_mag"), ("x", "y", "z")
@@ -291,7 +287,6 @@ def _field(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
 
 
 def _airspeed(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
-    """True airspeed, checked if available; without sensor none."""
     topic = topics.get("airspeed_validated", topics.get("airspeed"))
     if topic is None or "true_airspeed_m_s" not in topic:
         return []
@@ -303,7 +298,6 @@ def _airspeed(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
 
 
 def _range(data: Sequence[Any], clock_us: int) -> list[Stream]:
-    """First downward range finder; out of limits: no echo."""
     topic = next((d.data for d in data if d.name == "distance_sensor" and (d.data["orientation"] == _DOWNWARDS).all()), None)
     if topic is None:
         return []
@@ -326,7 +320,6 @@ def _simulated(topics: Mapping[str, Topic]) -> bool:
 def _truth(
     topics: Mapping[str, Topic], receiver: Topic | None, clock_us: int, notes: list[str]
 ) -> tuple[Stream | None, Vec3 | None]:
-    """Ground truth, else the autopilot's estimate, at position stamps; its origin."""
     suffix = "_groundtruth" if _simulated(topics) else ""
     position, attitude = topics.get(f"vehicle_local_position{suffix}"), topics.get(f"vehicle_attitude{suffix}")
     if position is None or attitude is None:

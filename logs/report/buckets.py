@@ -36,7 +36,6 @@ class Buckets:
         self._high[span[first]] = np.maximum(self._high[span[first]], high)
 
     def _join(self) -> None:
-        """Two spans become one."""
         low, high = np.full_like(self._low, np.inf), np.full_like(self._high, -np.inf)
         half = len(low) // 2
         low[:half] = np.minimum(self._low[0::2], self._low[1::2])

@@ -185,5 +185,4 @@ def band(name: str, colour: Colour, of: Buckets, column: int, half: int | Array,
 
 
 def _start(of: Buckets, start_ns: int) -> float:
-    """Middle of the first span."""
     return (of.start_ns + of.step_ns // 2 - start_ns) * 1e-9

@@ -169,7 +169,6 @@ class Gathered:
         self.signals.add(estimate.t_ns, np.hstack([value, SIGMAS_95 * sigmas(estimate), radius[:, None]]))
 
     def _unwrapped(self, attitude: Array) -> Array:
-        """Heading unwrapped."""
         known = np.isfinite(attitude[:, 2])
         heading = np.unwrap(np.concatenate([[self._heading_deg], attitude[known, 2]]), period=360.0)[1:]
         attitude[known, 2] = heading

@@ -61,7 +61,6 @@ def plots(levels: Sequence[Integrity], c: Comparison) -> str:
 
 
 def _held(t_ns: Times, values: Array) -> tuple[Times, Array]:
-    """Values held until the next; gaps stay."""
     holds_ns = _USUAL * int(np.median(np.diff(t_ns))) if len(t_ns) > 1 else 0
     between = np.arange(t_ns[0], t_ns[-1], max(int(t_ns[-1] - t_ns[0]) // _POINTS, 1))
     row = np.searchsorted(t_ns, between, side="right") - 1

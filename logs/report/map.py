@@ -43,7 +43,6 @@ def flight(collected: Collected, gathered: Gathered, outages: list[tuple[int, in
 
 
 def _by_mode(estimate: Trajectory, gathered: Gathered, start_ns: int) -> list[Path]:
-    """A path for each stretch of one mode."""
     stretches = gathered.states.get("mode", [])
     few = estimate[_few(len(estimate))]
     if not stretches:
@@ -59,7 +58,6 @@ def _by_mode(estimate: Trajectory, gathered: Gathered, start_ns: int) -> list[Pa
 
 
 def _paths(name: str, colour: Colour, way: Trajectory, start_ns: int, *, dashed: bool = False) -> list[Path]:
-    """Lines, broken at time gaps."""
     step = np.diff(way.t_ns)
     longest = max(_HOLE_NS, 3.0 * float(np.median(step))) if len(step) else _HOLE_NS
     holes = np.flatnonzero(step > longest) + 1
@@ -68,7 +66,6 @@ def _paths(name: str, colour: Colour, way: Trajectory, start_ns: int, *, dashed:
 
 
 def _ellipses(estimate: Trajectory, outages: list[tuple[int, int]], start_ns: int, view_m: float) -> list[Ellipse]:
-    """Even in time and at outage ends; those that fill the view are dropped."""
     even = np.linspace(int(estimate.t_ns[0]), int(estimate.t_ns[-1]), _ELLIPSES).astype(np.int64)
     wanted = np.concatenate([even, np.array([end - 1 for _, end in outages], np.int64)])
     rows = np.unique(np.clip(np.searchsorted(estimate.t_ns, wanted, side="right") - 1, 0, len(estimate) - 1))
@@ -136,7 +133,6 @@ def _few(n: int) -> Indices:
 
 
 def _m(values: Array) -> Numbers:
-    """Metres as the page needs them."""
     return [round(x, 2) for x in values.tolist()]
 
 

@@ -47,7 +47,6 @@ def _measurements(missing: NoEstimateError) -> web_page.Table:
 
 
 def _remarks(gathered: Gathered, start_ns: int) -> web_page.Table:
-    """Each remark once."""
     first: dict[str, int] = {}
     for stretch in gathered.details:
         if stretch.state:

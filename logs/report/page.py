@@ -150,7 +150,6 @@ def _beside(*tables: web_page.Table) -> str:
 
 
 def _at(m: Material, t_ns: int) -> str:
-    """Seconds since the first estimate."""
     return f"{round((t_ns - m.start_ns) * 1e-9, 1) + 0.0:.1f}"
 
 
@@ -224,7 +223,6 @@ def _measurements(m: Material, sheet: _Sheet) -> str:
 
 
 def _refused(m: Material) -> web_page.Table:
-    """Measurements not fused, by source and reason."""
     groups: dict[tuple[str, str, str], list[int]] = {}
     for row, aid in enumerate(m.collected.aids):
         if aid.reason is not Reason.FUSED:
@@ -285,7 +283,6 @@ def _attachments(m: Material) -> str:
 
 
 def _readable(data: bytes) -> str:
-    """A text attachment, truncated; nothing for binary."""
     try:
         words = data.decode()
     except UnicodeDecodeError:

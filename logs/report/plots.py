@@ -148,7 +148,6 @@ def thinned(aids: list[AidStatus]) -> list[AidStatus]:
 
 
 def _worst(misfit: list[float]) -> list[int]:
-    """Rows as thinned keeps them."""
     rows = list(range(len(misfit)))
     if len(rows) <= MOST_POINTS:
         return rows
@@ -294,12 +293,10 @@ def vision(collected: Collected, gathered: Gathered) -> Charts:
 
 
 def _bars(title: str, edges_s: Array, counts: Iterable[int], colour: Colour = "blue") -> BarChart:
-    """Times in milliseconds."""
     return BarChart(title, "ms", short(1e3 * edges_s, 4), [int(n) for n in counts], colour)
 
 
 def _joined(stays: list[Stay], span: float) -> list[Stay]:
-    """Stays within a span joined, labelled by the first."""
     joined: list[Stay] = []
     for stay in stays:
         if joined and stay.start - joined[-1].start < span:
@@ -336,7 +333,6 @@ def _events(collected: Collected) -> list[Points]:
 
 
 def _split(group: list[AidStatus]) -> tuple[list[AidStatus], list[AidStatus]]:
-    """Fused, and the others."""
     return [a for a in group if a.reason is Reason.FUSED], [a for a in group if a.reason is not Reason.FUSED]
 
 
@@ -361,7 +357,6 @@ def _buckets(c: Comparison, values: Array) -> Buckets:
 
 
 def _nearest_turn(heading_deg: Array, collected: Collected) -> Array:
-    """Truth heading by whole turns nearest to the estimate's."""
     c = collected.estimate
     given = c.has_attitude
     drawn = np.unwrap(attitude_deg(c.q_wxyz[given])[:, 2], period=360.0)
@@ -377,5 +372,4 @@ def _first(buckets: Buckets, start_ns: int) -> float:
 
 
 def _start(collected: Collected) -> int:
-    """Zero of the time that is shown."""
     return int(collected.estimate.t_ns[0])

@@ -121,7 +121,6 @@ def _consistency(e: Evaluation) -> list[Finding]:
 
 
 def _overconfident(name: str, c: Consistency) -> list[Finding]:
-    """Mean squared error beyond the covariance."""
     if not c.n or np.isnan(c.mean) or c.mean <= max(c.band[1], 1.3):
         return []
     if np.isinf(c.mean):
@@ -151,7 +150,6 @@ def _behaviour(e: Evaluation, gathered: Gathered) -> list[Finding]:
 
 
 def _jumps(collected: Collected) -> list[Finding]:
-    """Jumps beyond the 95 % radius before."""
     estimate, start_ns = collected.estimate, int(collected.estimate.t_ns[0])
     jumps = [(float(np.linalg.norm(j.delta_p)), j) for j in collected.resets]
     jumps = [(length_m, j) for length_m, j in jumps if length_m > _JUMP_M]

@@ -103,7 +103,6 @@ def compose(
 
 
 def _save(out: Path, content: str) -> int:
-    """Its size in bytes. Raises LogError."""
     data = content.encode()
     try:
         out.write_bytes(data)

@@ -177,7 +177,6 @@ class McapWriter:
         )
 
     def _put(self, record: McapRecord) -> int:
-        """Write a record; its length."""
         packed = _packed(record)
         self._file.write(packed)
         return len(packed)

@@ -112,7 +112,6 @@ def _without_copies(files: Sequence[Path]) -> list[Path]:
 
 
 def _number(part: LogReader) -> int | None:
-    """Number of a part in its flight, as far as read; None: unknown."""
     number = part.metadata.get(METADATA_NAME, {}).get(PART, "")
     return int(number) if number.isdecimal() else None
 

@@ -145,7 +145,6 @@ class Recorder:
                 self._writer.finish()
 
     def _channel(self, topic: str, schema: str) -> int:
-        """Register a topic, and its type where that is new."""
         encoding, text, metadata = "ros2msg", b"", {"offered_qos_profiles": _QOS}
         if is_known(schema):
             text, metadata["topic_type_hash"] = schema_text(schema).encode(), type_hash(schema)

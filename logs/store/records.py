@@ -54,7 +54,6 @@ _NOTES: Final = {
 
 
 def _what(start: bytes, path: Path) -> str:
-    """What a file without MCAP's start is, and the remedy."""
     out = f"{shlex.quote(str(path))} -o {shlex.quote(path.stem + '.mcap')}"
     for magic, (name, kind) in _IMPORTED.items():
         if start.startswith(magic):
@@ -173,7 +172,6 @@ class RecordFile:
         return None
 
     def _chunk(self, content: bytes, start: int) -> list[RawMessage]:
-        """The messages of a chunk; none of them when it is damaged."""
         try:
             fields = _stream(content)
             chunk = Chunk.read(fields)
@@ -192,7 +190,6 @@ class RecordFile:
         return messages
 
     def _unchunked(self, opcode: int, content: bytes, start: int) -> list[RawMessage]:
-        """The message a record outside of chunks is, if it is one."""
         try:
             if opcode == Opcode.ATTACHMENT and zlib.crc32(content[:-4]) != int.from_bytes(content[-4:], "little") != 0:
                 raise ValueError("attachment fails its CRC")
@@ -253,7 +250,6 @@ class RecordFile:
                 self._block(self._summary())
 
     def _summary(self) -> bytes:
-        """The records of the summary section, nothing where there is none."""
         file, end = self._file.fileno(), self.size - len(MAGIC)
         footer = os.pread(file, _FOOTER_SIZE, max(0, end - _FOOTER_SIZE))
         if footer[:1] != bytes([Opcode.FOOTER]) or len(footer) < _FOOTER_SIZE:

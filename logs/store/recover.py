@@ -70,7 +70,6 @@ def recover(
 
 
 def _rewrite(records: RecordFile, path: Path, progress: Callable[[float], None] | None) -> int:
-    """Copy all records; the number of messages."""
     count = attachments = metadata = 0
     channels: dict[int, int] = {}
     schemas = {0: 0}  # 0: none
@@ -101,7 +100,6 @@ def _keep(writer: McapWriter, attachments: Sequence[Attachment], metadata: Seque
 
 
 def _register(writer: McapWriter, records: RecordFile, channel_id: int, schemas: dict[int, int]) -> int:
-    """New id of an old channel, schema included."""
     channel = records.channels[channel_id]
     if channel.schema_id not in schemas:
         schema = records.schemas.get(channel.schema_id)

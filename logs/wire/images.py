@@ -64,7 +64,6 @@ def decode_image(schema: str, data: bytes, most_pixels: int = CAMERA_PIXELS) -> 
 
 
 def _unpacked(message: Any) -> Pixels:
-    """The pixels of an Image."""
     if message.encoding not in _ENCODINGS:
         raise ImageError(f"encoding {message.encoding!r} is not read (known: {', '.join(_ENCODINGS)})")
     channels, kind = _ENCODINGS[message.encoding]

@@ -69,7 +69,6 @@ def _marker(
     points: Sequence[Vec3] = (),
     text: str = "",
 ) -> Any:
-    """A visualization_msgs/msg/Marker; places in NED."""
     pose = _new("geometry_msgs/msg/Pose", position=_point(place_n), orientation=_new(
         "geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0
     ))  # fmt: skip

@@ -69,7 +69,6 @@ def _row(topic: str, s: Survey, imu: str, use: str, remark: str) -> TopicRow:
 
 
 def _imu(found: Mapping[str, Survey], wanted: str, uses: dict[str, tuple[str, str]], notes: list[str]) -> tuple[str, Array]:
-    """Fastest plausible IMU and its mean specific force (3,), as FLU."""
     usable: dict[str, Array] = {}
     for topic, s in found.items():
         if s.schema != schemas.IMU:
@@ -120,7 +119,6 @@ def _mounting(imu: str, mean: Array, notes: list[str]) -> tuple[str, tuple[float
 
 
 def _gnss(found: Mapping[str, Survey], uses: dict[str, tuple[str, str]]) -> None:
-    """Every receiver with fixes, once: relays repeat them."""
     places: dict[str, set[tuple[float, float]]] = {}
     candidates = [topic for topic, s in found.items() if s.schema == schemas.NAV_SAT_FIX]
     for topic in sorted(candidates, key=lambda t: -found[t].messages):

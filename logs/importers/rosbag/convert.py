@@ -70,7 +70,6 @@ def _reported(bag: Bag, wanted: frozenset[str] | None, report: Callable[[float],
 
 
 def _message(record: Record, t_ns: int | None) -> tuple[str, str, bytes]:
-    """Topic, type, bytes; t_ns: new stamp."""
     data = record.data if t_ns is None else stamped(record.data, t_ns)
     if record.schema == TWIST_STAMPED:
         return record.topic, schemas.TWIST, data + _NO_COVARIANCE
@@ -78,7 +77,6 @@ def _message(record: Record, t_ns: int | None) -> tuple[str, str, bytes]:
 
 
 def _clocks(choice: Choice, found: Mapping[str, Survey], notes: list[str]) -> tuple[int, frozenset[str]]:
-    """Offset of recording times, and topics stamped with them."""
     (imu,) = choice.inputs["imu"]
     ahead_ns = 0 if found[imu].unstamped else found[imu].ahead_ns
     shift_ns = ahead_ns if abs(ahead_ns) > _CLOCKS_NS else 0

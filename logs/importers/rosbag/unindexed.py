@@ -64,7 +64,6 @@ def messages(path: Path) -> Iterator[tuple[str, str, int, bytes, float]]:
 
 
 def _records(file: BinaryIO) -> Iterator[tuple[dict[bytes, bytes], bytes]]:
-    """Header and data of each record, torn ones partially."""
     while True:
         blocks = []
         for _ in range(2):
@@ -84,7 +83,6 @@ def _records(file: BinaryIO) -> Iterator[tuple[dict[bytes, bytes], bytes]]:
 
 
 def _of_chunk(header: dict[bytes, bytes], data: bytes, unpack: Unpacker) -> list[tuple[dict[bytes, bytes], bytes]]:
-    """Records of a chunk; none if it cannot be unpacked."""
     try:
         content = unpack(header[b"compression"].decode(), data)
     except TooLargeError:
@@ -105,7 +103,6 @@ def _of_chunk(header: dict[bytes, bytes], data: bytes, unpack: Unpacker) -> list
 
 
 def _fields(block: bytes) -> dict[bytes, bytes]:
-    """The fields of a header. Raises ValueError."""
     fields, at = {}, 0
     while at < len(block):
         if at + _LENGTH.size > len(block):
