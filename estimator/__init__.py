@@ -1,6 +1,6 @@
-"""The estimator: an error-state Kalman filter for absolute fixes that are rare, late or missing.
+"""The estimator: an error-state Kalman filter for rare, late or missing absolute fixes.
 
-    fusion.Fusion.handle(message) -> outputs        one call for daemon, replay, simulation and tests
+    fusion.Fusion.handle(message) -> outputs
 
 Below `fusion` there is no I/O, no clock and no thread. May import logs, calib, vision and models.
 """

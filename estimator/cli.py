@@ -36,7 +36,7 @@ _OURS = frozenset({"estimator", "logs", "models", "vision", "calib"})
 
 
 class OneLineErrors(Group):
-    """Errors inside a command become one line and exit code 1; LANDFIX_DEBUG=1 or --debug lets them through."""
+    """Errors inside a command: one line and exit code 1; LANDFIX_DEBUG=1 or --debug lets them through."""
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
@@ -61,12 +61,12 @@ def plain(message: str) -> str:
 
 
 def printable(text: str) -> str:
-    """A text in which a name from outside may stand, without what a terminal would obey."""
+    """A text without control characters for a terminal."""
     return "".join(c if c.isprintable() else " " for c in text)
 
 
 def one_line(error: Exception) -> str:
-    """The message of our own and the system's errors; any other exception is reported as a defect."""
+    """One line for our own and system errors; others are reported as defects."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     if isinstance(error, ImportError):

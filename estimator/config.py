@@ -64,7 +64,7 @@ _WILD = re.compile(r"[*?#$]|\s")
 
 
 class Inputs(Topics, frozen=True, forbid_unknown_fields=True):
-    """[inputs]: topics to read, one or a list each; each topic is a source of its own."""
+    """[inputs]: topics, one or a list each; each is a source."""
 
     imu: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/Imu; the first leads")] = _TOPICS.imu
     gnss: Annotated[_Topics, Meta(description="topics of sensor_msgs/msg/NavSatFix")] = _TOPICS.gnss
@@ -166,7 +166,7 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         )
 
     def decoder(self) -> Decoder:
-        """The wire decoder. Raises ConfigError for an invalid topic, landfix's own, or one that feeds two inputs."""
+        """The wire decoder. Raises ConfigError: invalid topic, landfix's own, or one for two inputs."""
         for name in self.inputs.__struct_fields__:
             for topic in getattr(self.inputs, name):
                 if _OWN.match(topic) or _WILD.search(topic):
@@ -214,7 +214,7 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 def load(path: Path | None) -> Config:
-    """The configuration of a file (None: defaults), origin from the landmarks where it has none. Raises ConfigError."""
+    """The configuration of a file (None: defaults), with its landmarks' origin. Raises ConfigError."""
     return with_origin(read(path), path.parent) if path else Config()
 
 
@@ -231,7 +231,7 @@ def read(path: Path) -> Config:
 
 
 def with_origin(config: Config, folder: Path) -> Config:
-    """The configuration, files relative to `folder`, with its map's origin if it has none. Raises ConfigError."""
+    """The configuration with its map's origin; files relative to `folder`. Raises ConfigError."""
     landmarks, picture = config.map.landmarks, config.map_image(folder)
     if config.map.origin is not None or not (landmarks or picture):
         return config
@@ -242,7 +242,7 @@ def with_origin(config: Config, folder: Path) -> Config:
 
 
 def parse(text: str, name: str = "configuration") -> Config:
-    """The configuration of a TOML text; `name` is what the user calls it. Raises ConfigError."""
+    """The configuration of a TOML text called `name`. Raises ConfigError."""
     config = strict_toml.decode(Config, text, name)
     try:
         config.decoder()
@@ -254,7 +254,6 @@ def parse(text: str, name: str = "configuration") -> Config:
 
 
 def _not_of_the_vehicle(config: Config) -> str:
-    """Options that contradict [bounds] vehicle; '' without any."""
     vehicle = config.bounds.vehicle
     if config.drag.enabled and vehicle not in {"any", "multirotor"}:
         return f'[drag] enabled: rotors have this drag, and [bounds] vehicle is "{vehicle}"; set enabled = false'

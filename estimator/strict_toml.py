@@ -1,7 +1,7 @@
 """TOML <-> parameter structs, strictly: unknown keys, wrong types or ranges and infinities are refused.
 
-Structs are frozen msgspec.Structs with fields `Annotated[float, msgspec.Meta(gt=0, description="m/s: what it means")]`; the unit
-is before the colon, or the name's suffix (`history_s`).
+Fields: `Annotated[float, msgspec.Meta(gt=0, description="m/s: what it means")]`; the unit is before the colon, or the name's
+suffix (`history_s`).
 """
 
 import difflib
@@ -41,7 +41,7 @@ class Key(NamedTuple):
 
 
 def decode(kind: type[T], text: str, name: str) -> T:
-    """The struct `kind` from TOML text; `name` is what the user calls the text. Raises ConfigError."""
+    """The struct `kind` from TOML called `name`. Raises ConfigError."""
     try:
         table = toml_text.table(text)
         checked = _checked(_struct(mi.type_info(kind)), table, "")
@@ -79,7 +79,6 @@ def _nested(info: mi.Type) -> mi.StructType | None:
 
 
 def _checked(info: mi.StructType, table: Mapping[str, Any], path: str) -> dict[str, Any]:
-    """The table with unknown keys refused, strings as lists of one, integers as floats where needed."""
     fields = {f.encode_name: f.type for f in info.fields}
     result = {}
     for key, value in table.items():

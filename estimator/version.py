@@ -4,7 +4,7 @@ from importlib import metadata
 
 
 def version() -> str:
-    """The installed version; "0+source" where the program runs from a source folder that was never installed."""
+    """The installed version; "0+source" from a source folder."""
     try:
         return metadata.version("landfix")
     except metadata.PackageNotFoundError:

@@ -22,7 +22,7 @@ _GAP_M: Final = 0.5  # between a tower and anything else
 
 
 def whole(rig: StereoRig, p_n: Array, R_nb: Array, mark: Landmark, edge_px: float) -> bool:
-    """Whether the left image holds all corners of the roof, edge_px from its border."""
+    """Whether the left image holds the roof, edge_px from its border."""
     px, limit = _corners_px(mark, rig.left, *rig.camera_pose(p_n, R_nb)), np.array([rig.left.width, rig.left.height]) - 1.0
     return bool((px >= edge_px).all() and (px <= limit - edge_px).all())
 
@@ -35,7 +35,7 @@ def cut(rig: StereoRig, p_n: Array, R_nb: Array, mark: Landmark) -> bool:
 
 
 def shares(world: World, rig: StereoRig, p_n: Array, R_nb: Array) -> dict[str, float]:
-    """Share of each roof's area that the left image shows, neither beyond its border nor occluded; 0 is left out."""
+    """Visible share of each roof's area in the left image; 0 is left out."""
     camera, (p_nc, R_nc) = rig.left, rig.camera_pose(p_n, R_nb)
     labels = render_labels(world, camera, p_nc, R_nc)
     found = {}

@@ -1,7 +1,6 @@
-"""Three methods for a landmark in a pair of images: landfix, the plain method of the thesis, SIFT + FLANN.
+"""Landmark recognition by landfix, the plain method of the thesis, and SIFT + FLANN.
 
-Recognised: named, and the position agrees with the truth. Wrong: another one is named, or the position contradicts. Silent: gets
-the next pair.
+Recognised: named, position agrees with the truth. Wrong: misnamed, or position contradicts. Silent: gets the next pair.
 """
 
 import itertools
@@ -41,7 +40,7 @@ _ROOF_PX: Final = 3  # around a roof within which its key points lie
 
 
 class Answer(msgspec.Struct, frozen=True):
-    """cpu_ms: for the first pair, where timed; error_m: of the position, if any; note: why; pair: from 1."""
+    """cpu_ms: for the first pair, if timed; error_m: of a position; note: why; pair: from 1."""
 
     verdict: Verdict
     cpu_ms: float | None
@@ -64,7 +63,7 @@ def until_heard(method: Method, sample: Sample, timed: bool, pairs: int) -> Answ
 
 
 def landfix(sample: Sample, config: PipelineConfig | None = None, timed: bool = True, pairs: int = 2) -> Answer:
-    """Our pipeline from rig, map and prior, with memory of the pair 0.5 s before; cpu_ms excludes set-up."""
+    """Our pipeline, with memory of the pair 0.5 s before; cpu_ms excludes set-up."""
     pipeline, again = (LandmarkPipeline(sample.scene.rig_calibrated, sample.scene.map, config) for _ in range(2))
     stamps = itertools.count(0, _NEXT_NS)
 
@@ -207,7 +206,7 @@ def _off_m(sample: Sample, H: Array) -> float:
 
 
 def ask(sample: Sample, looked: Looked, timed: bool, pairs: int) -> dict[str, Answer]:
-    """All answers by METHODS' names; looked: keypoints of the left image, found again where timed."""
+    """Answers by METHODS' names; looked: keypoints of the left image."""
     key_points = {sample.numbers: looked}
 
     def sift(surroundings: bool) -> Answer:

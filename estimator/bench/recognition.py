@@ -28,7 +28,7 @@ TIMED: Final = 4  # one sample in so many
 
 
 class Trial(msgspec.Struct, frozen=True):
-    """One sample: visible share of the roof, keypoints, images redrawn for too few, answers by method."""
+    """One sample: visible share, keypoints, redrawn images, answers by method."""
 
     experiment: Experiment
     roof: Roof
@@ -40,9 +40,9 @@ class Trial(msgspec.Struct, frozen=True):
 
 
 class Row(msgspec.Struct, frozen=True):
-    """One method in one experiment; by_pair: recognised from the first pair, the first two, ...; cpu: of one core.
+    """One method in one experiment; by_pair: recognised from the first pair, the first two, ...; cpu: one core.
 
-    wrong_below, recognised_above: 95 % bounds of the true shares.
+    wrong_below, recognised_above: 95 % bounds.
     """
 
     experiment: Experiment
@@ -60,7 +60,7 @@ class Row(msgspec.Struct, frozen=True):
 
 
 class Recognition(msgspec.Struct, frozen=True):
-    """A run; pairs: shown to each method at most; redrawn: images with too few keypoints for a fair comparison."""
+    """A run; pairs: per method at most; redrawn: images with too few keypoints."""
 
     samples: int
     seed: int
@@ -81,7 +81,7 @@ def run(
     jobs: int = 0,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Recognition:
-    """`samples` of every experiment and kind of roof, `pairs` pairs at most; jobs: processes, 0: all cores."""
+    """`samples` of every experiment and roof, `pairs` at most; jobs: processes, 0: all cores."""
     wanted = [(e, r, seed, k, pairs) for e in experiments for r in roofs for k in range(samples)]
     trials: list[Trial] = []
     with pool(jobs or None, _begin) as workers:
@@ -113,7 +113,7 @@ def row(experiment: Experiment, roof: Roof, method: str, trials: Sequence[Trial]
 
 
 def below(k: int, n: int) -> float:
-    """p95: k of n were seen, the true share is below it, 95 % sure."""
+    """p95 for k of n seen."""
     return 1.0 if k >= n else float(beta.ppf(0.95, k + 1, n - k))
 
 

@@ -1,6 +1,6 @@
-"""Samples for the thesis' four experiments: world, map and rig with errors, a pair of images, the landmark in question.
+"""Samples for the thesis' four experiments: world, map and rig with errors, image pair, landmark.
 
-draw(experiment, roof, seed, number) -> Sample         from these four alone
+draw(experiment, roof, seed, number) -> Sample
 """
 
 import math
@@ -50,7 +50,7 @@ _REFERENCE: Final = CameraModel(256, 256, 600.0, 600.0, 127.5, 127.5)
 
 @dataclass(frozen=True)
 class Reference:
-    """The landmark's image, taken from above on another day; mask: its roof; centre_px: of the roof."""
+    """The landmark from above on another day; mask, centre_px: of its roof."""
 
     image: Image
     mask: NDArray[np.uint8]
@@ -59,7 +59,7 @@ class Reference:
 
 @dataclass(frozen=True)
 class Sample:
-    """scene: truth, map and rig with errors; target: the landmark; seen: visible share of its roof; numbers: of the draw."""
+    """scene: truth, map, rig with errors; target; seen: visible share; numbers: of the draw."""
 
     numbers: tuple[int, ...]
     scene: Scene
@@ -79,7 +79,7 @@ class Sample:
 
 
 def draw(experiment: Experiment, roof: Roof, seed: int, number: int, attempt: int = 0) -> Sample:
-    """Sample `number` of a run; worlds and poses are drawn until one fits the experiment."""
+    """Sample `number`; worlds and poses are drawn until one fits the experiment."""
     numbers = (seed, EXPERIMENTS.index(experiment), ROOFS.index(roof), number, attempt)
     rng = np.random.default_rng(numbers)
     scene, p_n, R_nb, seen = _shown(experiment, roof, rng)

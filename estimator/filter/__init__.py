@@ -1,7 +1,6 @@
-"""The error-state Kalman filter, whose history is run again for a late measurement.
+"""The error-state Kalman filter, run again from a checkpoint for late measurements.
 
     tracker (one state, one step) <- history (order by validity, exact rewind) <- fusion
-    eskf, kalman: prediction and update;  hypotheses, contradiction: outliers;  initialise, relinearise: the start
 
 Pure: no I/O, no clock, no thread. Begin with `history` and `eskf`. May import estimator.sources and models.
 """

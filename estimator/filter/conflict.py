@@ -1,13 +1,12 @@
 """A receiver in lasting conflict with the estimate: the remaining chance that the map is wrong.
 
-The filter follows the landmarks, for spoofing is the commoner fault. But datum, geoid or origin of the map may be wrong, and
-nothing on board tells the two apart. So the published covariance keeps (mixture of two means; Bar-Shalom, Li, Kirubarajan 2001,
-1.4.16)
+The filter follows the landmarks, but datum, geoid or origin of the map may be wrong, and nothing on board shows it. The published
+covariance keeps (Bar-Shalom, Li, Kirubarajan 2001, 1.4.16)
 
     P <- P + w (S + d d^T),     w = w_0 exp(-(|d| / d_0)^2)
 
-d (3,) [m]: estimate to the receiver's position; S (3, 3) [m^2]: its covariance; w_0: share of conflicts with a wrong map; d_0
-[m]: size of map errors, which bounds the effect of a spoofed receiver.
+d (3,) [m]: to the receiver's position; S (3, 3) [m^2]: its covariance; w_0: share of conflicts with a wrong map; d_0 [m]: size of
+map errors, which bounds the effect of spoofing.
 """
 
 import math
@@ -69,7 +68,7 @@ class Conflicts:
     contrary_ns: dict[str, int] = field(default_factory=dict)
 
     def compared(self, aid: Aid, z: Measurement, position_n: Array, *, disagrees: bool, lingers: bool = False) -> "Conflicts":
-        """After a reading, estimate at position_n (3,) [m]; lingers: a conflict lasts until the source is near."""
+        """After a reading, estimate at position_n (3,) [m]; lingers: until the source is near."""
         before = self.apart.get(aid.topic)
         if (disagrees or (lingers and before)) and isinstance(z, Position | Pose) and len(z.z_n) == len(z.rows[:_XYZ]):
             slow = sum(error.covariance for error in aid.slow_errors if len(error.covariance) == _XYZ)
@@ -80,7 +79,7 @@ class Conflicts:
         return Conflicts({t: a for t, a in self.apart.items() if t != aid.topic}, self.contrary_ns) if before else self
 
     def judged(self, aid: Aid, z: Measurement, position_n: Array, *, is_rejected: bool) -> "Conflicts":
-        """Once aligned: the same for receivers, whose positions or velocities the estimate rejects."""
+        """Once aligned: receivers whose positions or velocities are rejected."""
         if aid.receiver and is_rejected:
             return Conflicts(self.apart, self.contrary_ns | {aid.receiver: aid.t_ns})
         if not aid.absolute:
@@ -90,7 +89,7 @@ class Conflicts:
         return self.compared(aid, z, position_n, disagrees=is_receiver and is_contrary, lingers=is_receiver)
 
     def added(self, *, is_decided: bool) -> Array:
-        """Added covariance of the position, (3, 3); both count until a source is decided for."""
+        """Added covariance of the position, (3, 3)."""
         total = np.zeros((_XYZ, _XYZ))
         for apart in self.apart.values():
             if not is_decided:

@@ -1,11 +1,10 @@
 """Fixes that agree with one another but with no hypothesis: the IMU is wrong.
 
-False fixes that agree make a follower, which predicts the next. Where even a filter begun at one fix does not predict the next,
-although a vehicle can fly their path, IMU axes or units are wrong, or it has failed. Flyable:
+Where even a follower of one fix does not predict the next, although a vehicle can fly their path,
 
     |(p2 - p1) / h2 - (p1 - p0) / h1|  <  a (h1 + h2) / 2 + k sigma (1 / h1 + 1 / h2)
 
-Fixes too far apart in time do not count. A contradiction of some seconds ends the filter.
+IMU axes or units are wrong. Fixes too far apart in time do not count. Some seconds of it end the filter.
 """
 
 import math

@@ -13,10 +13,10 @@ from models.messages import Array
 
 
 def update(cov: Array, nu: Array, h: Array, hp: Array, noise: Array, estimated: Array) -> Array:
-    """Error dx (n,); P (n, n) becomes the posterior in place, exactly symmetric.
+    """Error dx (n,); P (n, n) becomes the posterior in place, symmetric.
 
-    nu: (m,); h, hp: H and H P (m, n); noise: (m, m); estimated: (k,) of the last k errors, 0 where one is considered.
-    Raises ValueError where a shape does not fit; numpy.linalg.LinAlgError where S is not positive definite.
+    nu: (m,); h, hp: H and H P (m, n); noise: (m, m); estimated: (k,) of the last k errors, 0 if considered. Raises ValueError for
+    shapes, numpy.linalg.LinAlgError unless S is positive definite.
     """
     m, n = len(nu), len(cov)
     if nu.shape != (m,) or h.shape != (m, n) or hp.shape != (m, n) or noise.shape != (m, m) or cov.shape != (n, n):

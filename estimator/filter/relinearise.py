@@ -1,14 +1,13 @@
-"""The aligning stretch run again about the trajectory that it led to: an iterated Kalman smoother.
+"""The aligning stretch run again about its trajectory: an iterated Kalman smoother.
 
-With large errors the filter is inconsistent, and P keeps that. With a trajectory x_k, one state per measurement, and d_k =
-x_true,k (-) x_k,
+With a trajectory x_k, one state per measurement, and d_k = x_true,k (-) x_k,
 
     d_k+1 = c_k + Phi_k d_k + w_k,   c_k = f(x_k) (-) x_k+1,   d_0 ~ N(x_prior (-) x_0, P_prior),   nu_k = H_k d_k + v_k
 
-is linear: filter and smoother give E[d_k | all nu], the trajectory moves by it until its end stays: Gauss-Newton on the stretch
-(Bell 1994). The prior is that of the first run: nothing counts twice.
+filter and smoother give E[d_k | all nu], and the trajectory moves by it until its end stays: Gauss-Newton on the stretch (Bell
+1994). The prior is that of the first run: nothing counts twice.
 
-Air data are not in the stretch. Their estimated errors s keep what is known of them given the state; old x, P, new x^, P^:
+Estimated errors s of air data, not in the stretch, keep what is known of them given the state; old x, P, new x^, P^:
 
     s^ = s + C (x^ (-) x),   P^_sx = C P^_xx,   P^_ss = P_ss - C P_xs + C P^_xx C^T,   C = P_sx P_xx^-1
 """
@@ -87,7 +86,7 @@ class Stretch:
         return len(self.taken) <= _FEW or len(self.taken) > self.run_at * (1.0 + _GROWN)
 
     def due(self, found: Eskf) -> bool:
-        """Whether so much has been learnt since the last run that another is worth it."""
+        """Whether enough was learnt since the last run."""
         return self.has_grown and (self.sigma is None or bool((_sigma(found) < _LEARNT * self.sigma).any()))
 
     @property

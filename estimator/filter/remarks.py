@@ -17,7 +17,7 @@ _WORTH_SAYING = 2.0  # of the variance of unit weight
 
 
 def conflict(hypotheses: Hypotheses | None, absolute: Iterable[str], sources: Mapping[str, SourceState], t_ns: int) -> str:
-    """Which absolute sources disagree, by how much and for how long; "" where none do."""
+    """Disagreeing absolute sources, distance, duration; "" for none."""
     if hypotheses is None or hypotheses.conflict_ns is None or (found := hypotheses.conflict) is None:
         return ""
     (rejected, distance_m), since_s = found, (t_ns - hypotheses.conflict_ns) * 1e-9
@@ -27,7 +27,7 @@ def conflict(hypotheses: Hypotheses | None, absolute: Iterable[str], sources: Ma
 
 
 def apart(found: Mapping[str, Apart]) -> list[str]:
-    """Which receivers the estimate has decided against, and by how much they are off."""
+    """Rejected receivers and their distances."""
     return [
         f"{topic} is {np.linalg.norm(a.off):.1f} m from the estimate for {(a.last_ns - a.since_ns) * 1e-9:.0f} s: not used"
         + (", but the covariance allows for an error of the map" if a.may_be_right else "")

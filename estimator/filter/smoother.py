@@ -1,14 +1,14 @@
-"""Fixed-interval smoothing of a flight: forward through the tracker as in flight, then backward.
+"""Fixed-interval smoothing of a flight: forward through the tracker, then backward.
 
-With x_k|k, P_k|k filtered, x_k+1|k, P_k+1|k predicted and Phi_k the error transition between two nodes,
+With x_k|k, P_k|k filtered, x_k+1|k, P_k+1|k predicted and Phi_k the error transition,
 
     C_k   = P_k|k Phi_k^T P_k+1|k^-1
     x_k|N = x_k|k (+) C_k (x_k+1|N (-) x_k+1|k)
     P_k|N = P_k|k + C_k (P_k+1|N - P_k+1|k) C_k^T                                      (Rauch, Tung, Striebel 1965)
 
-on the manifold (Sola 2017, eq. 285-287). Segments are smoothed apart: they end at the alignment, at gaps of the IMU and at the
-birth of a hypothesis that doubts the filter. Nodes are the ancestry of the hypothesis that leads at the segment's end. Considered
-errors are left out of the gain, so the covariance may be too small while fixes share one.
+on the manifold (Sola 2017, eq. 285-287). Segments end at the alignment, at IMU gaps and where a hypothesis doubts the filter;
+nodes are the ancestry of the hypothesis that leads at their end. Considered errors are left out of the gain: the covariance may
+be too small while fixes share one.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -67,7 +67,7 @@ class Node:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Link:
-    """How a node follows from the one before: Phi (15, 15), and what was predicted."""
+    """Link from the node before: Phi (15, 15), prediction."""
 
     before: Node
     phi: Array
@@ -119,7 +119,7 @@ def backward(nodes: Sequence[Node]) -> tuple[Array, Array]:
 
 
 def sort(messages: Iterable[Input], config: FilterConfig) -> tuple[ImuBuffer, list[Aid]]:
-    """The usable messages: IMU samples, and aids in the order of their validity, each once."""
+    """Usable messages: IMU samples, and aids by validity, once."""
     samples, aids = ImuBuffer(), dict[tuple[int, str, str, bytes], Aid]()
     newest_ns = arrived_ns = None
     for message in messages:
@@ -173,13 +173,11 @@ def _step(
 def _of_parents(
     members: list[Hypothesis], links: dict[Hypothesis, Link], state_before: dict[bytes, Hypothesis]
 ) -> dict[Hypothesis, Link]:
-    """Links of the newborn from their parents; none to one that was born widened."""
     born = {m: state_before.get(m.filter.x.tobytes()) for m in members if m not in links}
     return {m: links[parent] for m, parent in born.items() if parent is not None}
 
 
 def _segments(leaders: list[Node]) -> Iterator[list[Node]]:
-    """Segments in order of time, each the ancestry of the hypothesis that led at its end."""
     segments: list[list[Node]] = []
     left = len(leaders)
     while left:

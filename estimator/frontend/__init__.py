@@ -1,6 +1,4 @@
-"""The visual front-end: camera images -> requests with a prior -> landmark fixes.
-
-    requests (pairs, prior) -> processor (recognise, locate, draw) -> LandmarkFix, VisionReport
+"""The visual front-end: images to requests with a prior to landmark fixes.
 
 Begin with `requests` and `processor`. May import estimator.map_files, estimator.publish, logs, calib, vision and models.
 """

@@ -38,12 +38,12 @@ class VisualOdometryConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
 
     @property
     def level(self) -> tuple[float, float] | None:
-        """Height of level ground above the map's origin, and its 1-sigma, m; None: not known."""
+        """Level ground above the map's origin, and 1-sigma, m; None: unknown."""
         return None if self.ground_m is None else (self.ground_m, self.ground_sigma_m)
 
 
 class KeyFrames:
-    """Chooses pairs and requests them. One at a time, in the order of their exposure."""
+    """Chooses pairs and requests them, one at a time, by exposure."""
 
     def __init__(self, config: VisualOdometryConfig) -> None:
         self._config = config

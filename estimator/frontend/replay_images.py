@@ -69,7 +69,6 @@ class ImageReplay(Repeat):
         return Asked(message, self._counted(self._processor.process(written, (pair.left, pair.right))))
 
     def _again(self, record: Record) -> Iterator[Record]:
-        """Answer in place of ours in the log; other programs' messages stay."""
         t_ns = self._answered_ns if record.topic in _UNSTAMPED else stamp_of(record.data)  # it follows report and fix
         while t_ns is not None and any(r.t_ns == t_ns for r in self._asked):
             self._answer(self._asked.popleft())

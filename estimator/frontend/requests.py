@@ -66,7 +66,7 @@ class Pair(NamedTuple):
 
 
 class Pairing:
-    """Pairs images by stamps, at most most_hz; one without partner goes alone after a while, at once where `alone`."""
+    """Pairs images by stamps, at most most_hz; unpaired ones go alone after a while, at once where `alone`."""
 
     def __init__(self, config: VisionConfig, alone: bool = False) -> None:
         self._alone = alone
@@ -76,7 +76,7 @@ class Pairing:
         self._last_ns = 0
 
     def put(self, side: str, shot: Shot) -> list[Pair]:
-        """An image of the "left" or "right" camera; the pairs that are complete now."""
+        """Add a "left" or "right" image; pairs now complete."""
         if self._alone:
             return self._paced(Pair(shot, None) if side == "left" else Pair(None, shot))
         other_side = "right" if side == "left" else "left"
@@ -109,7 +109,7 @@ class Pairing:
 
 
 class Track:
-    """The estimates of the last seconds. note() and request() may be called by different threads."""
+    """Estimates of the last seconds; note() and request() from different threads."""
 
     def __init__(self) -> None:
         self._estimates: deque[Estimate] = deque(maxlen=_KEPT)

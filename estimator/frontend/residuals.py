@@ -39,7 +39,7 @@ class View(NamedTuple):
 
 
 class Moment(msgspec.Struct, frozen=True):
-    """One image: what the estimate said then, and how well its outlines lie on the image."""
+    """One image: the estimate, and how well its outlines lie."""
 
     t_s: Annotated[float, Meta(description="since the estimate began")]
     mode: str
@@ -78,7 +78,7 @@ class LandmarkRow(msgspec.Struct, frozen=True):
 
 
 class Summary(NamedTuple):
-    """Residuals of all images together; with_fix: of those of which vision made a fix."""
+    """Residuals of all images; with_fix: of those with a fix."""
 
     residual_px: Spread | None
     with_fix_px: Spread | None

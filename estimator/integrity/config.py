@@ -12,7 +12,7 @@ _Rate: TypeAlias = Annotated[float, Meta(ge=0, le=1e3)]
 
 
 class IntegrityConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """[integrity]: a bound on the error with a stated risk, and the alert when it exceeds a limit."""
+    """[integrity]: a bound on the error at a stated risk, and the alert."""
 
     hal_m: Annotated[_Limit | None, Meta(description="m: horizontal alert limit; none: nothing is judged")] = None
     val_m: Annotated[_Limit | None, Meta(description="m: vertical alert limit; none: heights are not judged")] = None

@@ -38,7 +38,7 @@ class Position(NamedTuple):
 
 
 class Snapshot(NamedTuple):
-    """What the faults are counted for. covariance: (3, 3) of position as published without other hypotheses."""
+    """State for the faults; covariance: (3, 3) of position without other hypotheses."""
 
     t_ns: int
     hypotheses: Hypotheses
@@ -105,7 +105,6 @@ def _said(member: Hypothesis, lead: Hypothesis) -> str:
 
 
 def _of_source(topic: str, position: Position, now: Snapshot, nominal: Fault, config: IntegrityConfig) -> Iterator[Fault]:
-    """One source wrong for long: by any distance, bounded by another source, and by faults of bounded size."""
     is_gnss = position.kind == GNSS
     any_size = config.gnss_fault_per_hour if is_gnss else config.fix_fault_per_hour
     lead = now.hypotheses.lead
@@ -136,7 +135,6 @@ def _of_source(topic: str, position: Position, now: Snapshot, nominal: Fault, co
 def _without(
     topic: str, position: Position, now: Snapshot, config: IntegrityConfig
 ) -> Iterator[tuple[float, float, float, float, float]]:
-    """Solutions without the source: offset, sigma, horizontal and vertical, and t^2."""
     lead = now.hypotheses.members[0]
     for member in now.hypotheses.members[1:]:
         if member.without == topic and _is_confirmed(member, topic, now):

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 
 class LearnedFiles(NamedTuple):
-    """Models of learned matching (ONNX), with their SHA-256; an empty one is not compared."""
+    """ONNX models of learned matching, with SHA-256 (empty: unchecked)."""
 
     extractor: Path
     matcher: Path

@@ -129,7 +129,6 @@ def coloured(the_map: LandmarkMap, ortho: Orthophoto) -> LandmarkMap:
 
 
 def _median(image: NDArray[np.uint8], px: Array) -> Array | None:
-    """Median colour inside an outline (K, 2) without margin; None where too small or not wholly inside."""
     low, high = np.floor(px.min(axis=0)).astype(int), np.ceil(px.max(axis=0)).astype(int)
     if np.any(low < 0) or np.any(high >= (image.shape[1], image.shape[0])):
         return None

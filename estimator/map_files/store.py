@@ -23,7 +23,7 @@ def load(path: Path, defaults: Defaults | None = None) -> LandmarkMap:
 
 
 def origin(path: Path) -> Vec3:
-    """Origin of a map file, from its head where it is there. Raises as load does."""
+    """Origin of a map file, from its head if possible. Raises as load."""
     with opened(path) as file, refusing(MapError, path):
         own = geojson.origin_of(file.read(_HEAD))
     return own or load(path).origin

@@ -66,7 +66,7 @@ class Terrain:
                 progress((k + 1) / len(files))
 
     def at(self, lonlat: Array) -> Array:
-        """Height above the ellipsoid [m] (n,) of longitudes and latitudes (n, 2), NaN outside the tiles."""
+        """Height above the ellipsoid [m] (n,) of longitudes, latitudes (n, 2), NaN outside."""
         heights = np.full(len(lonlat), np.nan)
         for tile in self._tiles:
             unknown = np.isnan(heights)

@@ -57,12 +57,12 @@ class Flight:
                     yield t_ns + delay_ns, message
 
     def write_map_and_rig(self, map_file: Path, rig_file: Path) -> None:
-        """The vehicle's files: the map with its errors, the rig as it was calibrated."""
+        """Files of the vehicle: map with errors, calibrated rig."""
         map_file.write_bytes(self.scene.map.to_geojson())
         (save_mounted if self.cameras.one_camera else save_rig)(rig_file, self.scene.rig_calibrated)
 
     def draw(self, k: int) -> tuple[Encoded, ...]:
-        """The k-th pair, or image of one camera, as it goes over the wire."""
+        """The k-th pair, or image, as on the wire."""
         cameras, t_ns, rng = self.cameras, int(self.t_ns[k]), np.random.default_rng([self.seed, k])
         since_s = (t_ns - EPOCH_NS) * 1e-9
         p_n, R_nb, v_n, omega_b = _pose(self.truth, t_ns)
@@ -120,7 +120,7 @@ def plan(cameras: Cameras, simulation: Simulation, seed: int) -> Flight:
 
 
 def configuration(cameras: Cameras, simulation: Simulation, map_name: str, rig_name: str) -> str:
-    """The flight's configuration, with images, map and rig; the files are relative to it."""
+    """The flight's configuration with images, map, rig, relative to it."""
     right = "[]" if cameras.one_camera else f'"{RIGHT}"'
     text = simulation.config_toml.replace("[inputs]\n", f'[inputs]\nleft_image = "{LEFT}"\nright_image = {right}\n')
     odometry = "\n[visual_odometry]\nenabled = true\nground_m = 0.0\n" if cameras.odometry else ""

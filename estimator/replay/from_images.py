@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def seen_again(config: Config, folder: Path, source: Sequence[Path]) -> "Together":
-    """What replay takes as processor; the configuration's files count from `folder`. Raises ConfigError."""
+    """The processor for a replay; files relative to `folder`. Raises ConfigError."""
     from estimator.frontend.files import load_odometry, load_processor  # noqa: PLC0415  (vision is loaded only where it is used)
     from estimator.frontend.repeat import Together  # noqa: PLC0415
     from estimator.frontend.replay_images import ImageReplay  # noqa: PLC0415

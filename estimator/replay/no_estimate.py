@@ -53,7 +53,7 @@ def advice(
 
 
 def too_slow(kind: str, imu_samples: int, duration_s: float) -> str:
-    """What to do about an IMU whose samples are too few; empty where they are not."""
+    """Advice on an IMU with too few samples; empty if enough."""
     rate_hz = imu_samples / max(duration_s, 1e-9)
     if rate_hz >= _LOWEST_IMU_RATE_HZ:
         return ""

@@ -28,7 +28,7 @@ _LONGEST_STEP_NS = 1_000_000_000  # a longer gap between estimates is silence, n
 
 
 class ReplaySummary(msgspec.Struct, frozen=True):
-    """What happened. fixes: topic -> reason -> measurements (the last decision on each counts)."""
+    """What happened; fixes: topic -> reason -> measurements (last decisions)."""
 
     records: int
     imu_samples: int
@@ -54,7 +54,7 @@ class ReplaySummary(msgspec.Struct, frozen=True):
 
 
 class SummaryBuilder:
-    """Counts records, inputs and outputs as they pass. origin: of the map, where it is configured; watch: for findings."""
+    """Counts records, inputs, outputs; origin: of the map, if configured; watch: for findings."""
 
     def __init__(self, origin: Vec3 | None = None, *, watch: bool = True) -> None:
         self.records = 0
@@ -132,7 +132,7 @@ class SummaryBuilder:
         return self._watch.findings() if self._watch else []
 
     def summary(self, elapsed_s: float, torn: list[str], skipped_chunks: int, missing: str, kind: str) -> ReplaySummary:
-        """All of it, at the end; kind: of the importer that wrote the log, or empty."""
+        """The summary at the end; kind: importer, or empty."""
         fixes: dict[str, Counter[str]] = {}
         for (topic, *_), reason in self._decisions.items():
             fixes.setdefault(topic, Counter())[reason.value] += 1

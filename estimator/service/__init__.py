@@ -3,8 +3,6 @@
     link (Zenoh, MAVLink) -> Inbox -> Daemon: one loop around Fusion.handle -> Outbox (the links again)
                                           |-> Log (a thread of its own)
 
-    base -> autopilot -> mavlink, zenoh, log -> daemon, vision -> run, which puts everything together
-
 Failures of links, log, state file or watchdog do not stop the loop. May import estimator.frontend and the layers below it, logs
 and models.
 """

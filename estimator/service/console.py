@@ -23,7 +23,7 @@ _NO_ESTIMATE_YET: Final = frozenset({Mode.STARTING, Mode.ALIGNING})
 
 
 class Console:
-    """Prints until the context ends; quiet: prints nothing. say() and note() never block and never raise."""
+    """Prints until the context ends (quiet: nothing); say() and note() never block or raise."""
 
     def __init__(self, *, quiet: bool = True) -> None:
         self._quiet = quiet

@@ -65,7 +65,7 @@ class Daemon:
         self._patient_ns = _NEVER  # until then a tick waits for all messages before it; set by the first estimate
 
     def stop(self) -> None:
-        """Let run() return after the message in hand; safe in a signal handler."""
+        """Let run() return after the current message; signal-safe."""
         self._stopping = True
         self.mailbox.wake()
 
@@ -87,7 +87,6 @@ class Daemon:
             next_tick_ns += _TICK_NS
 
     def _survive(self, step: Callable[..., None], *given: Arrival) -> None:
-        """An internal error costs one message, is counted and reported once a second."""
         try:
             step(*given)
         except Exception as error:
@@ -145,7 +144,6 @@ class Daemon:
         return arrival if t_ns == stamp_ns else arrival._replace(data=restamped(data, t_ns))
 
     def _tick(self) -> None:
-        """Tick the estimator, after waiting messages unless a flood goes on; publish the status."""
         self._take_own()  # no IMU sample may come for it
         now_ns = self._clock.now_ns()
         if self._status.works(now_ns):

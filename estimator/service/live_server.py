@@ -23,7 +23,7 @@ class LiveError(Exception):
 
 
 class LiveServer:
-    """A context manager; put() from any thread. Raises LiveError where it cannot be opened."""
+    """A context manager; put() from any thread. Raises LiveError."""
 
     def __init__(self, host: str, port: int) -> None:
         try:
@@ -124,7 +124,7 @@ def play(server: LiveServer, log: Path, speed: float, progress: Callable[[float]
 
 
 def relay(server: LiveServer, session: Any, domain: int, topics: Mapping[str, str]) -> list[Any]:
-    """What a daemon publishes over Zenoh, to the server; the subscribers are to be kept."""
+    """A daemon's publications to the server; keep the subscribers."""
     server.offer(topics)
 
     def forward(topic: str, schema: str) -> Callable[[Any], None]:

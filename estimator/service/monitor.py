@@ -46,7 +46,7 @@ _ANSWER_S: Final = 3.0
 
 
 class View:
-    """Collects what comes in; render() makes a screen of it. now_s: of a steady clock."""
+    """Collects inputs; render() makes a screen. now_s: steady clock."""
 
     def __init__(self) -> None:
         self.health: dict[str, str] = {}
@@ -164,7 +164,7 @@ class View:
 
 @contextmanager
 def connected(config: ZenohConfig, folder: Path, endpoint: str | None) -> Iterator[tuple[zenoh.Session, str]]:
-    """A session with the daemon, and where that is. Raises BusError when nobody answers."""
+    """A session with the daemon, and its address. Raises BusError."""
     endpoint = endpoint or (config.listen or config.connect)[0]
     try:
         session = zenoh.open(client_config(config, folder, endpoint))

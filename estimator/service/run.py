@@ -269,7 +269,6 @@ class _NoLog:
 
 
 def _metadata(config: RunConfig, folder: Path, digest: str) -> dict[str, str]:
-    """Metadata of the log; of the map's image name and checksum only. Raises ConfigError."""
     known = {"version": version(), "config_sha256": digest}
     image = config.map_image(folder)
     if image is None:

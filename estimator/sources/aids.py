@@ -39,7 +39,7 @@ from models.messages import (
 
 
 class SourcesConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """The section of each source; that of an optional sensor is called as its readings' kind."""
+    """A section per source; optional sensors are named by their readings' kind."""
 
     gnss: GnssConfig = GnssConfig()
     pose_fix: PoseConfig = PoseConfig()

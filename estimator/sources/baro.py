@@ -24,7 +24,7 @@ _FALSE_HEIGHT_M = 50.0
 
 
 class BaroConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
-    """[baro]: its noise and its slow errors; it is used where [inputs] baro names a topic."""
+    """[baro]: noise and slow errors; off without [inputs] baro."""
 
     sigma_m: Annotated[
         float, Meta(ge=1e-3, le=1e4, description="m: error by gusts and airspeed; a message's own noise is added")
@@ -59,7 +59,7 @@ class BaroConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
 
 
 def height_m(pressure_pa: float) -> float:
-    """h = 44330.8 (1 - (p / 101325 Pa)^0.190263), m: pressure height in the standard atmosphere."""
+    """h = 44330.8 (1 - (p / 101325 Pa)^0.190263), m: pressure height."""
     return float(_SCALE_M * (1.0 - (pressure_pa / _SEA_LEVEL_PA) ** _EXPONENT))
 
 

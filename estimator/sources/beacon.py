@@ -2,8 +2,8 @@
 
     z = |b - a| + s_0 + n,   a = p + R_nb l
 
-b: beacon on the map; l: antenna in the body; s_0: antenna delay, survey, reflections, for slow_s (considered). /beacon/1 is the
-first of at_n_m. Beyond the gradient u = (a - b) / |a - b|, an error d ~ N(m, C) after this reading adds
+b: beacon; l: antenna in the body; s_0: antenna delay, survey, reflections, for slow_s (considered). Beyond the gradient u = (a -
+b) / |a - b|, an error d ~ N(m, C) after this reading adds
 
     (d^T B d) / 2,   B = (I - u u^T) / |a - b|,   E[(d^T B d)^2] = (tr BC + m^T B m)^2 + 2 tr(BCBC) + 4 m^T B C B m
 
@@ -74,7 +74,7 @@ class BeaconRange(Curved):
 
 
 class BeaconConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
-    """[beacon]: ranges to known beacons (UWB); they are used where [inputs] beacon names topics."""
+    """[beacon]: ranges to known beacons (UWB); off without [inputs] beacon."""
 
     at_n_m: Annotated[
         tuple[tuple[_Metres, _Metres, _Metres], ...],
@@ -91,7 +91,7 @@ class BeaconConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
     longest_m: Annotated[float, Meta(ge=1, le=1e5, description="m: readings beyond are none")] = 1000.0
 
     def aid(self, reading: Reading) -> Aid | Refusal:
-        """A range [m] as a measurement of position along the line to its beacon."""
+        """A range [m] as a measurement along the line to its beacon."""
         (z_m,) = reading.values
         named = _NUMBER.search(reading.topic)
         k = int(named[0]) - 1 if named else -1

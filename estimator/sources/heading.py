@@ -21,7 +21,7 @@ _Metres: TypeAlias = Annotated[float, Meta(ge=-100, le=100)]
 
 
 class HeadingConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
-    """[heading]: the two antennas and their errors; it is used where [inputs] heading names a topic."""
+    """[heading]: two antennas and errors; off without [inputs] heading."""
 
     baseline_b_m: Annotated[
         tuple[_Metres, _Metres, _Metres],

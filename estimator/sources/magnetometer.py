@@ -34,7 +34,7 @@ _Scale: TypeAlias = Annotated[float, Meta(ge=0.1, le=10)]
 
 
 class MagnetometerConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
-    """[magnetometer]: mounting, calibration, errors; used where [inputs] magnetometer names a topic."""
+    """[magnetometer]: mounting, calibration, errors; off without [inputs] magnetometer."""
 
     mounting_rpy_deg: Annotated[
         tuple[_Degrees, _Degrees, _Degrees], Meta(description="deg: roll, pitch, yaw of the magnetometer in the body, as FRD")

@@ -56,7 +56,7 @@ class RangeDown(Conditional):
 
 
 class RangeConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
-    """[range]: a range finder that looks down; it is used where [inputs] range names a topic."""
+    """[range]: downward range finder; off without [inputs] range."""
 
     ground_m: Annotated[
         _Height | None,

@@ -38,7 +38,7 @@ _RATE_SIGMA = 3e-4  # rad/s: of a vehicle at rest, mean of a second
 
 
 class RestConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """[rest]: zero-velocity and zero-rotation updates; for what stands on the ground, not what hovers or floats."""
+    """[rest]: zero-velocity and zero-rotation updates, for vehicles that stand on the ground."""
 
     enabled: Annotated[bool, Meta(description="whether a vehicle that the IMU shows at rest is taken to be at rest")] = False
     velocity_sigma_m_s: Annotated[float, Meta(ge=1e-4, le=10, description="m/s: of a vehicle at rest")] = 0.05
@@ -60,7 +60,7 @@ class Rest:
         return _ROWS
 
     def evaluate(self, x: Array, gyro_b: Array) -> tuple[Array, Array]:
-        """nu = (wrap(azimuth - psi), -v, w - b_g - R^T w_ie). See Measurement."""
+        """nu = (wrap(azimuth - psi), -v, w - b_g - R^T w_ie)."""
         nu, h, earth_b = np.empty(7), np.zeros((7, E.SIZE)), so3.matrix(x[X.Q]).T @ self.earth_n
         nu[_HEADING], h[_HEADING] = Heading(np.array([1.0, 0.0, 0.0]), self.azimuth, self.noise[:1, :1]).evaluate(x, gyro_b)
         nu[_VELOCITY], h[_VELOCITY, E.V] = -x[X.V], np.eye(3)

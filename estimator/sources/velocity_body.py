@@ -28,7 +28,7 @@ _Lever: TypeAlias = Annotated[float, Meta(ge=-100, le=100)]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyVelocity:
-    """z_b: (3,) m/s; noise (m, m) and rows of those that were given; lever_b (3,) m."""
+    """z_b: (3,) m/s; noise (m, m) and given rows; lever_b (3,) m."""
 
     z_b: Array
     noise: Array
@@ -45,7 +45,7 @@ class BodyVelocity:
 
 
 class VelocityBodyConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
-    """[velocity_body]: the sensor and its errors; it is used where [inputs] velocity_body names a topic."""
+    """[velocity_body]: sensor and errors; off without [inputs] velocity_body."""
 
     delay_s: Annotated[float, Meta(ge=-1, le=5, description="s: stamps are later than validity by this much")] = 0.0
     lever_b_m: Annotated[tuple[_Lever, _Lever, _Lever], Meta(description="m: sensor from the IMU, forward right down")] = (

@@ -46,7 +46,7 @@ class DemoResult(msgspec.Struct, frozen=True):
 
 
 def scenario_text() -> str:
-    """The scenario of the demonstration: from the installed package, or from examples/ of a source folder."""
+    """The demonstration's scenario, installed or in examples/."""
     packaged = resources.files("estimator.tools") / SCENARIO
     return (packaged if packaged.is_file() else Path(__file__).parents[2] / _CHECKOUT).read_text(encoding="utf-8")
 

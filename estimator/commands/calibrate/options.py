@@ -63,7 +63,7 @@ def board_of(size: str, square_mm: float, marker_mm: float, dictionary: str) -> 
 
 
 def check_outputs(report_file: Path, out: Path | None, *inputs: Path) -> None:
-    """Refuse, before the work, files that cannot be written after it. Raises CalibrationError or LogError."""
+    """Refuse unwritable files before the work. Raises CalibrationError, LogError."""
     from calib.errors import CalibrationError
     from logs.store.reader import check_output
 
@@ -79,7 +79,7 @@ def check_outputs(report_file: Path, out: Path | None, *inputs: Path) -> None:
 def tell(
     judged: "Verdict", tables: "Sequence[Table]", unused: "Sequence[Dropped]", written: list[Path], facts: dict[str, Any] | None
 ) -> None:
-    """The result on stdout: as JSON where there are facts, else for a person."""
+    """The result on stdout: JSON where there are facts, else text."""
     from calib.report.verdict import table
 
     if facts is not None:
@@ -108,7 +108,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def check_size(camera: "CameraModel", view: "View") -> None:
-    """Refuse images of another size than the camera was calibrated for. Raises CalibrationError."""
+    """Refuse images not of the calibrated size. Raises CalibrationError."""
     from calib.errors import CalibrationError
 
     if (view.width, view.height) != (camera.width, camera.height):

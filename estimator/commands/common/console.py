@@ -37,7 +37,7 @@ class Reported(Protocol):
 
 @contextmanager
 def progress(title: str) -> Iterator[Reported]:
-    """A bar on stderr, silent without a terminal; yields a function of fraction done and current step."""
+    """A bar on stderr (terminals only); yields a function of fraction and step."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
@@ -50,7 +50,7 @@ def progress(title: str) -> Iterator[Reported]:
 
 @contextmanager
 def kept_on_interrupt(outputs: "Callable[[], Sequence[Path]]") -> Iterator[None]:
-    """On Ctrl-C, name the files that this run has written so far, and exit with code 130."""
+    """On Ctrl-C, name the files written so far, and exit with code 130."""
     before = {path: _stat(path) for path in outputs()}
     try:
         yield
@@ -79,7 +79,7 @@ def print_json(value: Any) -> None:
 
 
 def print_table(title: str, rows: "Sequence[Sequence[str | Text]]", header: Sequence[str] = ()) -> None:
-    """Rows under a title; strings stand as they are, rich Text keeps its colour."""
+    """Rows under a title; strings verbatim, rich Text coloured."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text

@@ -16,9 +16,9 @@ _LIVE_S, _LIVE_FOR_S = 0.7, 90.0  # a live camera: an image so often, for so lon
 
 
 class SourceImage(NamedTuple):
-    """key pairs it with the other camera's image (number in the name, frame, or stamp in ns); done: fraction of the source.
+    """key: pairs it with the other camera (number in the name, frame, or stamp in ns); done: fraction.
 
-    fault: why it cannot be read; image is then None.
+    fault: why unreadable; image is then None.
     """
 
     name: str
@@ -29,7 +29,7 @@ class SourceImage(NamedTuple):
 
 
 def read_image(path: Path) -> Any:
-    """The one image of a file. Raises CalibrationError where it cannot be read."""
+    """The image of a file. Raises CalibrationError."""
     first = next(read_images([str(path)], "", 1))
     if first.fault:
         raise CalibrationError(f"{path}: {first.fault}")
@@ -37,7 +37,7 @@ def read_image(path: Path) -> Any:
 
 
 def read_images(sources: Sequence[str], topic: str, most: int = MOST_FRAMES) -> Iterator[SourceImage]:
-    """All images in order, at most `most` of a video or log. Raises CalibrationError where there is none."""
+    """All images in order, `most` of a video or log. Raises CalibrationError for none."""
     files = files_of(sources)
     source: Iterator[SourceImage]
     for k, file in enumerate(files):
@@ -59,7 +59,7 @@ def is_video(path: Path) -> bool:
 
 
 def files_of(sources: Sequence[str]) -> list[str]:
-    """The files, and cameras, that sources mean. Raises CalibrationError where there is none."""
+    """Files and cameras that sources mean. Raises CalibrationError for none."""
     return [f for source in sources for f in _files(source)]
 
 
@@ -122,7 +122,7 @@ def is_live(source: str) -> bool:
 
 
 def live(sources: Sequence[str]) -> Iterator[tuple[SourceImage, ...]]:
-    """Simultaneous images of one or more cameras. Raises CalibrationError where a camera gives none."""
+    """Simultaneous images of cameras. Raises CalibrationError where one gives none."""
     cameras = [_opened(source.removeprefix("camera:")) for source in sources]
     began, taken, count = time.monotonic(), -_LIVE_S, 0
     while (elapsed := time.monotonic() - began) < _LIVE_FOR_S and all(c.grab() for c in cameras):

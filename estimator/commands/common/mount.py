@@ -18,7 +18,7 @@ MountSigma = Annotated[str, typer.Option("--mount-sigma", metavar="M,DEG", help=
 
 
 def mount_of(place: str, sigma: str) -> "BodyPose | None":
-    """Camera on the body, R_bc = R(roll, pitch, yaw) FORWARD; None where not given. Raises BadParameter."""
+    """R_bc = R(roll, pitch, yaw) FORWARD; None where not given. Raises BadParameter."""
     import numpy as np
 
     from calib.files.formats import BodyPose

@@ -40,7 +40,7 @@ class _Gathered:
             self._without += [image.image] * (found is Why.NOT_FOUND and len(self._without) < _HINTS)
 
     def checked(self) -> tuple[list[Keyed], list[Dropped]]:
-        """Views with their keys, and what was not used. Raises CalibrationError for too few, or a larger board."""
+        """Views with keys, and what was not used. Raises CalibrationError: too few, or a larger board."""
         _check_whole(self._board, self._shown)
         if len(self._views) < FEWEST:
             sizes = [size_seen(image, self._board) for image in self._without]
@@ -51,7 +51,7 @@ class _Gathered:
 def gather(
     sources: Sequence[str], topic: str, board: Board, progress: Callable[[float], None], most: int = MOST_FRAMES
 ) -> tuple[list[Keyed], list[Dropped]]:
-    """Views of the board with their keys, and images without it. Raises CalibrationError for too few."""
+    """Views with keys, and images without a board. Raises CalibrationError for too few."""
     gathered = _Gathered(board)
     for image in read_images(sources, topic, most):
         gathered.add(image)
@@ -62,7 +62,7 @@ def gather(
 def gather_pairs(
     left: Sequence[str], right: Sequence[str], topics: tuple[str, str], board: Board, progress: Callable[[float], None]
 ) -> tuple[list[Pair], list[Dropped]]:
-    """The pairs of views, and the images without one; two live cameras take their images together."""
+    """Pairs of views, and images without one; live cameras are simultaneous."""
     if [is_live(s) for s in (*left, *right)] == [True, True]:
         sides = _Gathered(board), _Gathered(board)
         for taken in live([*left, *right]):
@@ -78,7 +78,7 @@ def gather_pairs(
 
 
 def pair(left: Sequence[Keyed], right: Sequence[Keyed]) -> tuple[list[Pair], list[Dropped]]:
-    """Views of equal key or nearest time, and those without a partner. Raises CalibrationError where no pair is left."""
+    """Views of equal key or nearest time, and the others. Raises CalibrationError for no pair."""
     keys = dict(right)
     if len(keys) < len(right) or len({key for key, _ in left}) < len(left):
         raise CalibrationError("two images of one camera have the same number; number them 01, 02, ... as their partners")

@@ -1,11 +1,10 @@
-"""An approximate camera from a photo's tags, with its standard deviations.
+"""An approximate camera from a photo's tags, with sigmas.
 
     f [px]   the maker's calibration (DewarpData, or CalibratedFocalLength)             0.3 %, 1 %
              focal length times the sensor's pixels in a mm                                  1.5 %
              w / W times the 35 mm equivalent, W of 36 mm or of a diagonal of 43.3 mm          3 %
 
-The 35 mm equivalent is of the width at 3:2 and of the diagonal at 4:3 (CIPA DCG-001), for other aspects the mean of both.
-Principal point in the middle, no distortion.
+35 mm equivalent: of the width at 3:2, the diagonal at 4:3 (CIPA DCG-001), else the mean. No distortion.
 """
 
 from typing import Final, NamedTuple
@@ -26,7 +25,7 @@ _ZOOMED: Final = 1.01
 
 
 class FromTags(NamedTuple):
-    """The camera, of which tag, and the relative standard deviation of its focal length."""
+    """The camera, the tag used, relative sigma of its focal length."""
 
     camera: CameraModel
     source: str
@@ -34,7 +33,7 @@ class FromTags(NamedTuple):
 
 
 def camera_of(tags: Tags, width: int, where: str) -> FromTags:
-    """The camera of a photo of `width` pixels. Raises CalibrationError where the tags do not hold it."""
+    """The camera of a photo of `width` pixels. Raises CalibrationError."""
     taken_w, taken_h = tags.taken_px
     if (
         abs(tags.width * taken_h / (tags.height * taken_w) - 1.0) > _SAME
@@ -59,7 +58,6 @@ def camera_of(tags: Tags, width: int, where: str) -> FromTags:
 
 
 def _dewarped(tags: Tags, width: int, height: int, scale: float) -> FromTags:
-    """DJI's calibration of this camera, (cx, cy) from the middle; no distortion in a photo dewarped already."""
     assert tags.dewarp is not None
     fx, fy, cx, cy, *lens = tags.dewarp
     numbers = (scale * fx, scale * fy, 0.5 * (width - 1) + scale * cx, 0.5 * (height - 1) + scale * cy)

@@ -1,7 +1,7 @@
-"""A photo for a calibrated camera: EXIF orientation and calibrated size.
+"""A photo for a calibrated camera: EXIF orientation and size.
 
-Calibration uses sensor pixels, whatever the orientation flag says: a photo is turned upright only where it fits no other way.
-EXIF orientation: 1 as stored; 6, 3, 8 turned by 1, 2, 3 quarters clockwise; others mirrored.
+Calibration uses sensor pixels: a photo is turned upright only where it fits no other way. EXIF orientation: 1 as stored; 6, 3, 8
+turned by 1, 2, 3 quarters clockwise; others mirrored.
 """
 # ruff: noqa: PLC0415  (imported where needed, so that --help is fast)
 
@@ -21,7 +21,7 @@ _QUARTERS: Final = {1: 0, 6: 1, 3: 2, 8: 3}
 
 
 def quarter_turns(path: Path) -> int:
-    """Quarters clockwise by which a viewer turns the photo. Raises CalibrationError for a mirrored one."""
+    """Clockwise quarters by which a viewer turns the photo. Raises CalibrationError for mirrored ones."""
     from PIL import Image
 
     try:
@@ -35,7 +35,7 @@ def quarter_turns(path: Path) -> int:
 
 
 def fitted(path: Path, image: "Image", camera: "CameraModel", turns: int) -> "tuple[Image, bool]":
-    """The photo at the camera's size, and whether it was turned upright. Raises CalibrationError for another aspect."""
+    """The photo at the camera's size, and whether turned upright. Raises CalibrationError for another aspect."""
     import numpy as np
 
     from vision.image.scaled import fits, scaled
@@ -69,7 +69,7 @@ def turns_left(path: Path, camera: "CameraModel", turns: int) -> int:
 
 
 def at_width(camera: "CameraModel", width: int) -> "CameraModel":
-    """The camera of the same photos at another width; u + 1/2 is scaled: pixel centres are integers."""
+    """The camera at another width; u + 1/2 is scaled."""
     import msgspec
     import numpy as np
 
@@ -83,7 +83,7 @@ def at_width(camera: "CameraModel", width: int) -> "CameraModel":
 
 
 def turned_mount(R_bc: "Array", turns: int) -> "Array":
-    """R_bc of the sensor from that of the displayed photo: x_shown = R_z(90 deg turns) x_sensor."""
+    """R_bc of the sensor from the displayed photo's: x_shown = R_z(90 deg turns) x_sensor."""
     import numpy as np
 
     quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

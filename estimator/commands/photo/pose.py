@@ -1,11 +1,11 @@
-"""Pose of a photo from its tags, and its standard deviations.
+"""Pose of a photo from its tags, with sigmas.
 
     alt = ground + height above take-off,     or the height above the sea + N (EGM96), in this order
     sigma: 3 m north and east, 2 m and 5 % of the height (10 m of a height above the sea), 1.5 degrees of tilt, 3.5 of heading
 
-The body is the camera, level where it looks straight down with the photo's upper edge ahead: R_nb = R(roll, pitch, yaw of the
-gimbal) Ry(90 deg). The take-off point is assumed as high as the map's ground around the photo (the 2 m). A sigma from the camera
-is doubled and at least 0.5 m, for it excludes trigger, antenna and datum.
+The body is the camera, level where it looks down with the photo's upper edge ahead: R_nb = R(roll, pitch, yaw of the gimbal)
+Ry(90 deg). The 2 m cover ground less level than assumed. A camera's own sigma is doubled, at least 0.5 m: it excludes trigger,
+antenna and datum.
 """
 
 import math
@@ -34,10 +34,10 @@ def prior_of(
     tags: Tags, frame: Origin, ground_d: Callable[[float, float], float], height_m: float | None, where: str,
     camera_pitch_deg: float | None = None,
 ) -> Prior:  # fmt: skip
-    """Prior pose in n. ground_d(north, east): down of the ground; height_m: above it, replaces the tags'; camera_pitch_deg: from
-    the horizon, of a camera without a gimbal, heading of the aircraft.
+    """Prior pose in n; ground_d(north, east): down of the ground; height_m: above it, instead of the tags'; camera_pitch_deg:
+    from the horizon, without a gimbal.
 
-    Raises CalibrationError where the tags do not hold it.
+    Raises CalibrationError without tags.
     """
     if tags.lat_lon_deg is None:
         raise CalibrationError(f"{where}: no position in its tags (EXIF, XMP): give --prior LAT,LON,ALT,ROLL,PITCH,YAW")

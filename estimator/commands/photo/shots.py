@@ -1,4 +1,4 @@
-"""Input of landfix locate: images of a rig, photos or a video of one camera, each with its prior.
+"""Input of landfix locate: images with priors.
 
 rig      --rig: a rig of two cameras, or one camera on the body; without it the camera of the first photo's tags
 prior    --prior, one for all or one for each; without it each photo's own tags, and then the body is the camera
@@ -38,7 +38,7 @@ _BY_AXIS: Final = 4  # numbers of --prior-sigma: horizontal, vertical, tilt, hea
 
 
 class Given(NamedTuple):
-    """The options: files of images, --rig, --mount with its sigma, --prior, --prior-sigma, --height-m, --width."""
+    """Options: images, --rig, --mount with sigma, --prior, --prior-sigma, --height-m, --width."""
 
     files: Sequence[Path]
     rig: Path | None
@@ -51,7 +51,7 @@ class Given(NamedTuple):
 
 
 class Shot(NamedTuple):
-    """An image or a pair. follows: a video frame, whose prior is at the last fix with the given sigmas."""
+    """An image or a pair; follows: a video frame, prior at the last fix."""
 
     name: str
     t_ns: int
@@ -82,7 +82,7 @@ def numbers(text: str, count: int, option: str, example: str) -> list[float]:
 
 
 def check(given: Given) -> None:
-    """What is known to be wrong usage before a file is read. Raises BadParameter."""
+    """Wrong usage, before a file is read. Raises BadParameter."""
     for text in given.prior:
         lat, lon, *_ = numbers(text, 6, "--prior", "47.3977,8.5456,560,0,0,90")
         if not (abs(lat) <= 90.0 and abs(lon) <= 360.0):
@@ -99,7 +99,7 @@ def check(given: Given) -> None:
 
 
 def take(given: Given, frame: Origin, ground_d: Callable[[float, float], float]) -> Shots:
-    """Rig, images and priors. ground_d(north, east): down of the map's ground there. Raises CalibrationError, BadParameter."""
+    """Rig, images, priors; ground_d(north, east): down of the ground. Raises CalibrationError, BadParameter."""
     files = [Path(name) for name in image_source.files_of([str(path) for path in given.files])]
     if given.rig is not None and given.prior:
         rig = load_cameras(given.rig, given.mount)

@@ -4,8 +4,7 @@
              senseFly, Sentera, Pix4D: Camera:Yaw, Pitch, Roll          pitch 0 straight down
     height   RelativeAltitude: above the take-off point; AboveGroundAltitude; GPSAltitude, AbsoluteAltitude: above the sea
 
-Output angles: roll, pitch, yaw of a camera that looks ahead at (0, 0, 0), R_nb = Rz(yaw) Ry(pitch) Rx(roll); straight down is
-pitch -90, the photo's upper edge towards `yaw`.
+Output: R_nb = Rz(yaw) Ry(pitch) Rx(roll); straight down is pitch -90, the photo's upper edge towards `yaw`.
 """
 # ruff: noqa: PLC0415  (imported where needed, so that --help is fast)
 
@@ -37,12 +36,11 @@ _EDITORS: Final = ("microsoft", "adobe", "gimp", "photos", "picasa", "lightroom"
 
 @dataclass(frozen=True, slots=True)
 class Tags:
-    """Tags of a photo, None where unusable.
+    """Tags, None where unusable.
 
-    taken_px: original width and height. lat_lon_deg; altitude_m above sea or ellipsoid; above_takeoff_m, above_ground_m;
-    attitude_deg: roll, pitch, yaw; sigma_m: horizontal, vertical; taken_s: local clock. Focal length in mm, in mm of 35 mm film,
-    in px (the maker's); px of the sensor in a mm; dewarp: fx fy cx cy k1 k2 p1 p2 k3, (cx, cy) from the middle; dewarped: already
-    applied; zoom: digital. edited_by: a later program.
+    taken_px: original size; altitude_m: above sea or ellipsoid; attitude_deg: roll, pitch, yaw; sigma_m: horizontal, vertical;
+    taken_s: local clock; focal length in mm, mm of 35 mm film, px; px of the sensor in a mm; dewarp: fx fy cx cy k1 k2 p1 p2 k3,
+    (cx, cy) from the middle; dewarped: applied; zoom: digital; edited_by: a later program.
     """
 
     width: int
@@ -70,7 +68,7 @@ class Tags:
 
 
 def read(path: Path) -> Tags:
-    """Tags of a photo, possibly none. Raises OSError where the file cannot be read as an image."""
+    """Tags of a photo. Raises OSError where it is no image."""
     from PIL import Image
 
     with warnings.catch_warnings(action="ignore"), Image.open(path) as photo:

@@ -1,8 +1,7 @@
 """From nothing to an aligned filter.
 
-A whole pose starts the filter at once. A position levels it, at rest or in motion, with eight headings until one is left; an
-attitude prior, a course or a measured heading replaces these. Aligned: attitude and velocity are known well enough, and the
-stretch so far, run again, confirms the filter.
+A whole pose starts it at once; a position levels it with eight headings until one is left; an attitude prior, course or measured
+heading replaces these. Aligned: attitude and velocity known, and the stretch so far, run again, confirms them.
 """
 
 import math
@@ -51,7 +50,7 @@ _MOVED_SIGMA = 4.0  # positions that differ by more are of a vehicle that moves
 
 @dataclass(frozen=True, slots=True)
 class Still:
-    """The vehicle at rest: levelled, at a position fix; since: the first fix of this rest."""
+    """Levelled at rest at a position fix; since: the first fix."""
 
     level: Level
     z: Position | Pose
@@ -59,7 +58,7 @@ class Still:
 
 
 class Alignment:
-    """State of the alignment; the filters that it starts and judges are the core's."""
+    """State of the alignment; filters are the core's."""
 
     def __init__(self, core: Core) -> None:
         self.core = core
@@ -146,7 +145,7 @@ class Alignment:
         return Decision(Reason.ALIGNING)
 
     def take_prior(self, aid: Aid, z: Measurement) -> Decision:
-        """Take a prior that waits for a position; its errors repeat, so it is not fused once begun."""
+        """Use a waiting prior at a position; not fused once begun: its errors repeat."""
         if self.core.hypotheses is not None and not (self._seeks_heading or self._has_blurred):
             return Decision(Reason.THINNED, detail="for the alignment alone")
         if aid.t_ns < self.wrong_until_ns.get(aid.topic, NEVER):
@@ -165,7 +164,7 @@ class Alignment:
         self.prior = (core.t_ns, course, "") if course else None
 
     def wait_for_heading(self, aid: Aid, z: Measurement, gyro_b: Array) -> None:
-        """What may be published without a heading: the bank that seeks it, or at rest one that does not."""
+        """What may be published without a heading: the seeking bank, or at rest another."""
         core = self.core
         if core.is_aligned or core.hypotheses is not None or self.still is None:
             self.resting = None
@@ -299,7 +298,6 @@ class Alignment:
 
     @property
     def _has_blurred(self) -> bool:
-        """A single unaligned filter's attitude has become too uncertain, as in a gap of the IMU at rest."""
         core = self.core
         if core.is_aligned or core.hypotheses is None or len(core.hypotheses.members) > 1:
             return False
@@ -308,7 +306,6 @@ class Alignment:
 
     @property
     def _may_begin_again(self) -> bool:
-        """Whether a prior may replace the present state: a course only that of a search."""
         return self._seeks_heading or (self.prior is not None and bool(self.prior[2]) and self._has_blurred)
 
     def _end_search(self, z: Position | Pose, samples: ImuBuffer) -> bool:
@@ -335,7 +332,6 @@ class Alignment:
         return begun is not None
 
     def _start_from_sensed(self, z: Position | Pose, at: Level, samples: ImuBuffer) -> bool:
-        """Start at rest with the heading that is measured now; in motion it only weighs the bank."""
         core = self.core
         if not at.still or not self._senses_heading or self.sensed is None:
             return False
@@ -350,7 +346,7 @@ class Alignment:
         return begun is not None
 
     def check_sensor(self, aid: Aid, z: Measurement, samples: ImuBuffer, gyro_b: Array) -> None:
-        """Keep a bank without the heading sensor, until motion shows the sensor right or wrong."""
+        """Keep a bank without the heading sensor until motion judges it."""
         core = self.core
         beside, config = self.without_sensor, core.config.initialise
         if core.hypotheses is None:
@@ -413,7 +409,6 @@ class Alignment:
 
 
 def _contradicts_attitude(z: Measurement, seen: Innovation) -> bool:
-    """Whether the innovation of a whole attitude exceeds the noise of any fix."""
     return isinstance(z, Pose) and z.attitude == "full" and float(np.linalg.norm(seen.nu[_XYZ:])) > _LARGEST_NOISE
 
 

@@ -12,7 +12,7 @@ from models.imu import Coast, ImuNoise
 
 
 class FilterConfig(SourcesConfig, frozen=True, kw_only=True):
-    """What filter and smoother are configured with; origin is (lat_deg, lon_deg, alt_m) or None."""
+    """Configuration of filter and smoother; origin: (lat_deg, lon_deg, alt_m) or None."""
 
     imu: ImuNoise = ImuNoise()
     coast: Coast = Coast()
@@ -21,7 +21,7 @@ class FilterConfig(SourcesConfig, frozen=True, kw_only=True):
 
 
 class TrackerConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """What a tracker is made with; origin None: the first GNSS fix becomes the origin."""
+    """Configuration of a tracker; origin None: the first GNSS fix."""
 
     imu: ImuNoise
     coast: Coast

@@ -23,9 +23,9 @@ _AIDED_NS: Final = 3_000_000_000  # after a position; then the mode is dead_reck
 
 
 class Decision(NamedTuple):
-    """Decision on a measurement: the part of AidStatus that does not depend on arrival.
+    """Decision on a measurement, independent of arrival.
 
-    position: innovation and sigma of the position, (3,) each, NED m; None without one.
+    position: innovation and sigma, (3,) each, NED m, or None.
     """
 
     reason: Reason
@@ -56,7 +56,7 @@ class Core:
         self.last_absolute_ns = NEVER
 
     def copy(self) -> "Core":
-        """An independent one in the same state; what never changes in place is shared."""
+        """An independent copy; immutable parts are shared."""
         other = object.__new__(Core)
         other.__dict__.update(self.__dict__)
         other.hypotheses = self.hypotheses.copy() if self.hypotheses else None
@@ -68,7 +68,7 @@ class Core:
         return self.t_ns - self.last_absolute_ns <= self.aided_ns
 
     def recent(self, samples: ImuBuffer) -> Array | None:
-        """The last second of IMU samples up to now (k, 6); None where there is no such stretch yet."""
+        """The last second of IMU samples (k, 6), or None."""
         span_ns = LEVEL_NS
         end = samples.first_after(self.t_ns)
         begin = int(np.searchsorted(samples.t_ns[:end], self.t_ns - span_ns))
@@ -96,7 +96,7 @@ class Core:
         self.hypotheses.scale(self.variance_factor.value)
 
     def relinearise(self, stretch: Stretch, samples: ImuBuffer) -> Stretch:
-        """Relinearise the leading filter and go on with it; the stretch with the run noted, where it succeeded."""
+        """Relinearise the leading filter; the stretch with the run noted, where it succeeded."""
         assert self.hypotheses is not None
         try:
             result = relinearise(stretch, self.hypotheses.lead, samples)

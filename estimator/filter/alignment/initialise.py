@@ -1,14 +1,11 @@
 """The first estimate.
 
-* A pose fix with attitude starts the filter at once.
-* A position: roll and pitch from the mean specific force of the last second,
+A pose fix with attitude starts the filter; a position after levelling by the last second,
 
       roll = atan2(-f_y, -f_z),  pitch = atan2(f_x, sqrt(f_y^2 + f_z^2))                              (Groves 2013, eq. 5.101)
 
-  and the heading from motion: eight filters around the circle with the same GNSS; wrong ones predict accelerations that do
-  not occur (Gaussian sum; Sorenson and Alspach 1971). At rest levelling is repeated and nothing is started.
-
-Aligned: attitude and velocity are known well enough for linearisation.
+with eight headings, of which the wrong ones mispredict accelerations (Gaussian sum; Sorenson and Alspach 1971). At rest nothing
+is started.
 """
 
 import math
@@ -108,7 +105,7 @@ def level(t_ns: int, u: Array, config: InitialiseConfig, *, may_rest: bool = Tru
 
 
 def start_from_pose(t_ns: int, z: Pose, constants: Array, config: InitialiseConfig) -> Hypotheses:
-    """One filter at a pose fix with position and full attitude; needs no rest for the gyro bias."""
+    """One filter at a pose fix with full attitude; needs no rest."""
     x, cov = _unknown(None, config)
     x[X.P], x[X.Q] = z.z_n, z.q_nb_wxyz
     r_nb = so3.matrix(z.q_nb_wxyz)
@@ -121,7 +118,7 @@ def start_from_pose(t_ns: int, z: Pose, constants: Array, config: InitialiseConf
 
 
 def start_from_position(t_ns: int, z: Position | Pose, at: Level, constants: Array, config: InitialiseConfig) -> Hypotheses:
-    """Eight filters, levelled, at a position fix: one for each eighth of the circle."""
+    """Eight levelled filters at a position fix, around the circle."""
     headings = [2.0 * math.pi * k / _HEADINGS for k in range(_HEADINGS)]
     filters = [_levelled(t_ns, z, at, heading, math.pi / _HEADINGS, constants, config) for heading in headings]
     return Hypotheses([Hypothesis(f, fused_ns=t_ns, run=1, run_ns=t_ns) for f in filters])
@@ -130,7 +127,7 @@ def start_from_position(t_ns: int, z: Position | Pose, at: Level, constants: Arr
 def start_from_attitude(
     t_ns: int, z: Position | Pose, at: Level, prior: Pose, constants: Array, config: InitialiseConfig
 ) -> Hypotheses | None:
-    """One filter at a position fix, with an attitude from outside; None where that contradicts gravity."""
+    """One filter at a position fix with an outside attitude; None where gravity contradicts."""
     levelled = so3.from_euler(at.roll, at.pitch, so3.to_euler(prior.q_nb_wxyz)[2])
     off = so3.quat_log(so3.multiply(levelled, so3.conjugate(prior.q_nb_wxyz)))[:2]
     tilt = prior.noise[:2, :2] + np.eye(2) * at.tilt_sigma**2
@@ -144,10 +141,9 @@ def start_from_attitude(
 def start_from_heading(
     t_ns: int, z: Position | Pose, at: Level, aid: Aid, seen: Heading, constants: Array, config: InitialiseConfig
 ) -> Hypotheses | None:
-    """One levelled filter at a position fix with the measured heading; None where that contradicts gravity.
+    """One levelled filter at a position fix with the measured heading; None where gravity contradicts.
 
-    It begins there without heading information and fuses the measurement, which sets the correlations with tilt and repeated
-    errors.
+    It begins without heading information and fuses the measurement, which sets the correlations with tilt and repeated errors.
     """
     north, east = (so3.matrix(so3.from_euler(at.roll, at.pitch, 0.0)) @ seen.direction_b).tolist()[:2]
     begun = _levelled(t_ns, z, at, seen.azimuth - math.atan2(east, north), NO_HEADING, constants, config)
@@ -158,7 +154,7 @@ def start_from_heading(
 
 
 def agrees(bank: Hypotheses, prior: Pose) -> bool:
-    """Whether an outside attitude is within reach of a remaining heading of equal likelihood."""
+    """Whether an outside attitude is near a likely remaining heading."""
     for member in bank.members:
         r_nb = so3.matrix(member.filter.x[X.Q])
         off = so3.quat_log(so3.multiply(so3.conjugate(member.filter.x[X.Q]), prior.q_nb_wxyz))
@@ -228,9 +224,9 @@ def weigh(bank: Hypotheses, aid: Aid, z: Measurement, gyro_b: Array) -> Innovati
 
 
 def aligned(bank: Hypotheses, config: InitialiseConfig, *, sensed: bool = False) -> bool:
-    """Attitude (sigma and spread of headings) and velocity are known well enough.
+    """Attitude (sigma, spread of headings) and velocity are known well enough.
 
-    sensed: a sensor measures the heading, whose sigma counts; one from accelerations is overconfident.
+    sensed: by a sensor, whose sigma counts; headings from accelerations are overconfident.
     """
     attitude, velocity = _sigmas(bank)
     known = attitude < math.radians(config.heading_deg)
@@ -276,7 +272,6 @@ def _tilt_and_heading(bank: Hypotheses) -> tuple[float, float]:
 
 
 def _heading_spread(bank: Hypotheses) -> float:
-    """Standard deviation of the headings about the leading one's, rad."""
     weights = np.exp([m.weight for m in bank.members])
     yaw = np.array([so3.to_euler(m.filter.x[X.Q])[2] for m in bank.members])
     off = np.angle(np.exp(1j * (yaw - yaw[0])))

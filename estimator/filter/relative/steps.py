@@ -86,7 +86,6 @@ def _keep(bank: Hypotheses, aid: OdometryAid, before: Kept | None, now: Kept) ->
 
 
 def _judge(bank: Hypotheses, aid: OdometryAid, end: Increment, kept: Kept, state: SourceState, *, alone: bool) -> Step:
-    """Compare, gate and fuse; afterwards no pose is kept for the topic."""
     z = end.z
     block = clone_of(aid.topic)
     limit = gate(aid.rules.gate_probability, len(z.rows))

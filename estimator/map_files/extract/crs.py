@@ -14,7 +14,7 @@ ToLonLat = Callable[[Array], Array]  # (n, 2) -> (n, 2) degrees
 
 
 def to_lonlat(crs: Any, where: str) -> ToLonLat | None:
-    """Of an EPSG code ("EPSG:25832"), WKT, or PROJJSON; None: longitude and latitude already. Raises MapError."""
+    """From an EPSG code ("EPSG:25832"), WKT, or PROJJSON; None: degrees already. Raises MapError."""
     epsg = _epsg(crs)
     if crs is None or crs == "" or epsg in {4326, 4979} or "CRS84" in str(crs):
         return None

@@ -27,7 +27,7 @@ class Place(NamedTuple):
     radius_m: float
 
     def holds(self, ring: Array) -> bool:
-        """Whether the middle of a ring's corners lies inside, also across the 180th meridian."""
+        """Whether a ring's middle lies inside, also across the 180th meridian."""
         if not np.isfinite(ring).all() or np.abs(ring[:, 1]).max() > 90.0:
             return False
         east = wrapped(ring[:, 0] - self.lon_deg).mean() * math.cos(math.radians(self.lat_deg))

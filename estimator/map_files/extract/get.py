@@ -46,7 +46,7 @@ _KNOWN: Final = {"OVERTURE": OVERTURE, "MICROSOFT": MICROSOFT, "OSM": OSM}
 
 
 class Ground(NamedTuple):
-    """A height model, and the standard deviation of its heights from place to place [m]."""
+    """A height model and its sigma [m]."""
 
     terrain: Terrain
     sigma_m: float = 2.0

@@ -17,7 +17,7 @@ _Z, _M, _SRID = 0x8000_0000, 0x4000_0000, 0x2000_0000
 
 
 def outer_rings(data: bytes) -> list[Array]:
-    """(n, 2) of each polygon; none for another geometry. Raises ValueError for bytes that are torn."""
+    """(n, 2) of each polygon; none for others. Raises ValueError for torn bytes."""
     try:
         found, _ = _geometry(data, 0)
     except (struct.error, IndexError) as error:

@@ -49,7 +49,7 @@ class AutopilotClock:
         return self.offset.ours(stamp_ns)
 
     def hear(self, stamp_ns: int, now_ns: int) -> None:
-        """A stamp that holds only the coarse time since boot: for a reboot."""
+        """A coarse time since boot, to detect a reboot."""
         self._plausible(stamp_ns, now_ns)
 
     def _plausible(self, stamp_ns: int, now_ns: int) -> bool:

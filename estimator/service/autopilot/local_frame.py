@@ -35,7 +35,7 @@ class LocalOrigin:
         self.place: Vec3 | None = None  # degrees, and m above the sea
 
     def hear(self, lat_deg: float, lon_deg: float, sea_m: float) -> None:
-        """Where it is; sea_m: its height above the sea. Raises ValueError for what is no place."""
+        """Set its origin; sea_m: height above the sea. Raises ValueError."""
         is_place = abs(lat_deg) <= _MOST_LAT_DEG and abs(lon_deg) <= _MOST_LON_DEG and math.isfinite(sea_m)
         if not is_place or lat_deg == lon_deg == 0.0:
             raise ValueError(f"latitude, longitude = {lat_deg:g}, {lon_deg:g} deg, height {sea_m:g} m: is no place")

@@ -1,13 +1,12 @@
-"""Output policy: "odometry" continuously, a "fix" only when information new to the autopilot entered.
+"""Output policy: "odometry" continuously, a "fix" when a landmark or outside fix was fused and the autopilot's own GNSS was not.
 
-A fix goes out when a landmark or outside fix was fused while the autopilot's own GNSS was not. Quality, with r the 95 % radius
-and r_max = most_radius_m:
+Quality, r the 95 % radius, r_max = most_radius_m:
 
     100 ... 1   100 (1 - r / r_max)
       0         only the autopilot's own GNSS and IMU, by own_gnss_quality
      -1         r >= r_max, no IMU, not aligned, or integrity "do not use" (0 is "unknown" in MAVLink, and used)
 
-The reset counter counts every step of the output, not the estimator's resets alone.
+The reset counter counts every step of the output.
 """
 
 from collections.abc import Iterable, Sequence
@@ -90,7 +89,7 @@ class OutputPolicy:
         return self._config.most_radius_m
 
     def note(self, outputs: Iterable[Output]) -> bool:
-        """Take notice; whether a fix from outside is among what was just fused."""
+        """Note outputs; whether an outside fix was just fused."""
         news = False
         for output in outputs:
             if isinstance(output, Integrity) and output.state is not Alert.NOT_JUDGED:
@@ -105,7 +104,7 @@ class OutputPolicy:
         return news
 
     def is_fix(self, estimate: Estimate) -> bool:
-        """Whether the estimate, into which a fix has just entered, may be sent as one."""
+        """Whether the estimate with a new fix may be sent as one."""
         return estimate.mode is Mode.AIDED and estimate.t_ns - self._gnss_ns > self._quiet_ns and not self.is_alarmed
 
     @property
@@ -125,7 +124,7 @@ class OutputPolicy:
         return msgspec.structs.replace(estimate, covariance=P * np.minimum(np.outer(scale, scale), _LARGEST))
 
     def quality(self, estimate: Estimate, *, one_source_at_a_time: bool) -> int:
-        """-1 to 100, as above; one_source_at_a_time: of the autopilot, for own_gnss_quality = "auto"."""
+        """-1 to 100, as above; one_source_at_a_time: for own_gnss_quality = "auto"."""
         if estimate.mode not in {Mode.AIDED, Mode.ODOMETRY, Mode.DEAD_RECKONING} or self.is_alarmed:
             return -1
         share = float(horizontal_radius(estimate.covariance[None, :2, :2])[0]) / self._config.most_radius_m

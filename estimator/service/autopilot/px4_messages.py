@@ -159,7 +159,7 @@ def type_hash(schema: str) -> str:
 
 
 def local_reference(data: bytes) -> Vec3 | None:
-    """Origin of a VehicleLocalPosition, degrees and m above the sea; None: not given, or too short."""
+    """Origin of a VehicleLocalPosition, degrees, m above the sea, or None."""
     if len(data) < _REFERENCE.size:
         return None
     xy_global, z_global, lat, lon, alt = _REFERENCE.unpack_from(data)
@@ -213,6 +213,6 @@ def _packed(layout: struct.Struct, *fields: float) -> bytes | None:
 
 
 def position_sigmas(covariance: Array) -> tuple[float, float]:
-    """Horizontal (of the longest axis) and vertical standard deviation of the position, m."""
+    """Horizontal (longest axis) and vertical sigma of the position, m."""
     position = covariance[E.P, E.P]
     return float(np.sqrt(np.linalg.eigvalsh(position[:2, :2])[-1])), float(np.sqrt(position[2, 2]))

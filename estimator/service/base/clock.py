@@ -85,7 +85,7 @@ class Offset:
     steps: int = 0
 
     def one_way(self, stamp_ns: int, arrived_ns: int) -> None:
-        """A message stamped by the other clock when it was sent arrived now."""
+        """A message stamped by the other clock arrived now."""
         self._observe(stamp_ns - arrived_ns + self.quickest_ns, self.quickest_ns, arrived_ns)
 
     def round_trip(self, asked_ns: int, stamp_ns: int, answered_ns: int) -> None:
@@ -103,7 +103,6 @@ class Offset:
         return None if self.ahead_ns is None else t_ns + self.ahead_ns
 
     def _look_for_step(self, ahead_ns: int, bound_ns: int) -> None:
-        """Two consistent readings that contradict the best one replace it."""
         before, self._contrary = self._contrary, None
         if not self._best:
             return
@@ -147,8 +146,8 @@ class _Trial:
 class Stamps:
     """Times of validity on our clock, from plausible stamps.
 
-    Known clocks: the wall clock now and before its last step, and foreign ones more than a minute off but steady. Of those with 0
-    <= lag <= late_s the one with the topic's usual lag counts. A stamp less than a minute off is kept; the estimator refuses it.
+    Known clocks: the wall clock now and before its last step, and steady foreign ones more than a minute off. Of those with 0 <=
+    lag <= late_s the one with the topic's usual lag counts. Stamps less than a minute off are kept, and refused by the estimator.
     """
 
     def __init__(self, clock: Clock, config: ClockConfig) -> None:

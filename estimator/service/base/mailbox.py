@@ -64,7 +64,7 @@ class Mailbox:
         self._own.put(message)
 
     def get(self, timeout_s: float) -> Arrival | None:
-        """The next message; None when there is none in time, or after wake()."""
+        """The next message; None on time-out or wake()."""
         try:
             self._bell.get(timeout=timeout_s)
         except queue.Empty:
@@ -78,7 +78,7 @@ class Mailbox:
         return arrival
 
     def get_own(self) -> Arrival | None:
-        """The next message of our own vision, which arrives now; None when there is none."""
+        """The next message of our vision, or None."""
         try:
             return Arrival(*self._own.get_nowait(), self._clock.now_ns(), own=True)
         except queue.Empty:

@@ -18,10 +18,10 @@ class Arrival(NamedTuple):
 
 
 class Inbox(Protocol):
-    """Where a link puts what it receives. Never blocks, never raises, keeps the order."""
+    """Where links put what they receive; never blocks or raises, keeps the order."""
 
     def put_bytes(self, topic: str, schema: str, data: bytes) -> None:
-        """A message on the wire's own bytes; it arrives now. Images go to the log only."""
+        """Put wire bytes; images go to the log only."""
         ...
 
     def put(self, message: Input) -> None:
@@ -42,7 +42,7 @@ class Outbox(Protocol):
 
 
 class Log(Protocol):
-    """Where everything is kept. Never blocks, never raises; what is dropped is counted."""
+    """Keeps everything; never blocks or raises; counts what is dropped."""
 
     def put_input(self, arrival: Arrival) -> None:
         """The estimator's inputs: the last that may be lost."""
@@ -65,5 +65,5 @@ class Screen(Protocol):
         ...
 
     def show(self, image: Encoded) -> None:
-        """Send it. Called by one thread, must not block, and must not raise."""
+        """Send it; must not block or raise."""
         ...

@@ -10,7 +10,7 @@ _OTHERS = stat.S_IRWXG | stat.S_IRWXO
 
 
 def check_secret(key: str, path: Path) -> None:
-    """Raises ConfigError for a secret that others may read or change, or that is no file."""
+    """Raises ConfigError for a secret that others may access, or no file."""
     try:
         mode = path.stat().st_mode
     except OSError as error:
@@ -22,7 +22,7 @@ def check_secret(key: str, path: Path) -> None:
 
 
 def read_secret(key: str, path: Path) -> str:
-    """The text of a file that the configuration names under a key. Raises ConfigError."""
+    """Text of a secret file named under `key`. Raises ConfigError."""
     check_secret(key, path)
     try:
         secret = path.read_text(encoding="utf-8").strip()

@@ -22,7 +22,7 @@ _NO_ESTIMATE: Final = "no estimate, and no known reason for it: the estimator ha
 
 
 class Status:
-    """Counts what passes. parts: more to report, by name, asked for at each report."""
+    """Counts what passes; parts: further reports by name."""
 
     def __init__(self, began_ns: int, parts: Mapping[str, Callable[[], Mapping[str, Any]]]) -> None:
         self._began_ns, self._parts = began_ns, parts
@@ -99,7 +99,7 @@ class Status:
         return _diagnostics(now_ns, self._values)
 
     def json(self) -> bytes:
-        """The newest report, the newest health, and what was counted since the start."""
+        """Newest report, newest health, counts since the start."""
         totals = dict(sorted(self._totals.items()))
         return msgspec.json.encode({"daemon": self._values, "counts": totals, "health": self._health})
 

@@ -43,7 +43,7 @@ class FolderLock:
         self.hold()
 
     def hold(self) -> None:
-        """Lock it anew where folder or file was deleted or replaced. Raises FolderError."""
+        """Lock anew after deletion or replacement. Raises FolderError."""
         if self._fd >= 0 and self._is_in_place():
             return
         self.close()
@@ -93,7 +93,7 @@ def recover_in_background(folder: Path) -> subprocess.Popen[bytes] | None:
 
 
 def is_torn(path: Path) -> bool:
-    """Whether it is an MCAP file, and no link to one, that lacks its proper end."""
+    """Whether it is an MCAP file (no link) without proper end."""
     try:
         if not stat.S_ISREG(path.lstat().st_mode):
             return False

@@ -35,7 +35,7 @@ class SavedState(msgspec.Struct, frozen=True):
 
 
 def boot_id() -> str:
-    """Which start of the machine this is; empty where the system does not say."""
+    """The machine's boot; empty if unknown."""
     try:
         return _BOOT_ID.read_text(encoding="ascii").strip()
     except OSError:
@@ -80,7 +80,7 @@ def _absurd(saved: SavedState, wall_ns: int, steady_ns: int) -> str:
 
 
 def clock_of(saved: SavedState | None) -> Clock:
-    """The last daemon's clock carried on, within one boot; a new one otherwise."""
+    """The last daemon's clock within one boot, else a new one."""
     return Clock(saved.anchor_ns) if saved and saved.boot and saved.boot == boot_id() else Clock()
 
 

@@ -85,7 +85,6 @@ class LogWriter:
         attachments: Sequence[Attachment] = (),
         hold: Callable[[], None] = lambda: None,
     ) -> None:
-        """hold: keeps the folder ours (recovery.FolderLock)."""
         self._config, self._name, self._metadata, self._attachments = config, name, dict(metadata), attachments
         self._hold, self._shared = hold, ""
         self._queue: deque[_Item] = deque()
@@ -267,7 +266,6 @@ class LogWriter:
         self._state, self._problem = "recording", ""
 
     def _hold_folder(self) -> None:
-        """Claim the folder; beside another daemon use other names and record all the same."""
         self._shared = ""
         try:
             self._hold()

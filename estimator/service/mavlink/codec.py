@@ -80,7 +80,7 @@ Pose = tuple[Vec3, Array]  # position, m, and attitude (w, x, y, z)
 
 
 class Place(NamedTuple):
-    """Of the estimate on Earth: degrees, and metres above the ellipsoid and above the sea."""
+    """Position on Earth: degrees, metres above ellipsoid and sea."""
 
     lat_deg: float
     lon_deg: float
@@ -119,7 +119,7 @@ def attitude(message: Any, t_ns: int, sigma_deg: tuple[float, float], topic: str
 
 
 def receiver_state(message: Any) -> ReceiverState:
-    """Of GNSS_INTEGRITY: jamming and spoofing are 0 unknown, 1 none, 2 mitigated, 3 detected."""
+    """GNSS_INTEGRITY: jamming, spoofing 0 unknown, 1 none, 2 mitigated, 3 detected."""
     if message.spoofing_state == _DETECTED:
         return ReceiverState.SPOOFED
     is_disturbed = message.jamming_state == _DETECTED or message.spoofing_state == _MITIGATED
@@ -127,7 +127,7 @@ def receiver_state(message: Any) -> ReceiverState:
 
 
 def gnss_fix(message: Any, t_ns: int, geoid_m: float, topic: str, state: ReceiverState = ReceiverState.UNKNOWN) -> GnssFix:
-    """GPS_RAW_INT, GPS2_RAW; the height above the sea and geoid_m where alt_ellipsoid is 0 or equals alt."""
+    """GPS_RAW_INT, GPS2_RAW; sea height and geoid_m where alt_ellipsoid is 0 or equals alt."""
     has_ellipsoid = message.alt_ellipsoid and abs(message.alt_ellipsoid - message.alt) > _SAME_HEIGHT_MM
     height_m = 1e-3 * message.alt_ellipsoid if has_ellipsoid else 1e-3 * message.alt + geoid_m
     status = int(navsat_status(np.array(message.fix_type)))
@@ -178,7 +178,7 @@ def odometry(e: Estimate, pose: Pose, time_usec: int, counter: int, quality: int
 
 
 def place(lla: Vec3, geoid_m: float) -> Place:
-    """lla: degrees, and metres above the ellipsoid; geoid_m: the geoid's height above it."""
+    """lla: degrees, m above the ellipsoid; geoid_m: geoid above it."""
     return Place(*lla, lla[2] - geoid_m)
 
 
@@ -202,7 +202,7 @@ def global_position(e: Estimate, at: Place, time_usec: int, slot: int, system: i
 
 
 def gps_input(e: Estimate, at: Place, time_usec: int, gps_id: int, utc_ns: int | None) -> Any:
-    """GPS_INPUT, a fix without a velocity; utc_ns: its date, where it is known, else week 0."""
+    """GPS_INPUT without velocity; utc_ns: date if known, else week 0."""
     eph, epv = position_sigmas(e.covariance)
     week, week_ms = 0, 0
     if utc_ns is not None and is_date(utc_ns):
@@ -227,7 +227,7 @@ def alert(integrity: Integrity, number: int) -> list[Any]:
 
 
 def is_date(utc_ns: int) -> bool:
-    """Whether the time is one that a clock can show that was ever set."""
+    """Whether the time is plausible for a set clock."""
     first, end = _DATES_NS
     return first <= utc_ns < end
 
@@ -269,7 +269,6 @@ def _azimuth(message: Any) -> tuple[float, ...] | None:
 
 
 def _range(message: Any) -> tuple[float, ...] | None:
-    """Of a range finder that looks down, cm; outside its limits there is no echo."""
     if message.orientation != mavlink.MAV_SENSOR_ROTATION_PITCH_270:
         return None
     is_within = message.min_distance <= message.current_distance <= message.max_distance

@@ -108,7 +108,7 @@ def address_of(config: MavlinkConfig) -> Udp | Serial:
 
 
 def signing_key(config: MavlinkConfig, folder: Path) -> bytes | None:
-    """SHA-256 of the passphrase, as ground stations make it; None: unsigned. Raises ConfigError."""
+    """SHA-256 of the passphrase, as in ground stations; None: unsigned. Raises ConfigError."""
     if not config.signing_key_file:
         return None
     return sha256(read_secret("mavlink.signing_key_file", folder / config.signing_key_file).encode()).digest()

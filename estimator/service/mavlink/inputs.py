@@ -101,7 +101,7 @@ class Inputs:
         self._denied = True
 
     def requests(self, now_ns: int, autopilot: int | None) -> Iterator[tuple[int, int]]:
-        """Id and period in us of each message that is to be asked for now."""
+        """Id and period in us of messages to request now."""
         self._slow_down(now_ns)
         for number, period_us in self._missing(now_ns, autopilot).items():
             asked_ns = self._asked.get(number)  # once in any case: it may come by itself, but too seldom
@@ -160,7 +160,6 @@ class Inputs:
             yield measured
 
     def _sensors(self, message: Any, name: str, t_ns: int, autopilot: int | None) -> Iterator[Input]:
-        """A reading repeated with every IMU sample counts once."""
         for kind, read in codec.SENSORS[name].items():
             if (name, kind, autopilot) == ("HIGHRES_IMU", "airspeed", codec.ARDUPILOT):
                 continue

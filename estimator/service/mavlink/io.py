@@ -18,7 +18,7 @@ _REOPEN_S: Final = 0.5
 
 
 class Heard(NamedTuple):
-    """Bytes, and who sent them (None: whoever is at the other end of the wire)."""
+    """Bytes, and sender (None: the wire's other end)."""
 
     data: bytes
     sender: Any
@@ -29,7 +29,7 @@ class Endpoint(Protocol):
 
     @property
     def whole(self) -> bool:
-        """Whether frames arrive whole, so that what is left of one belongs to no other."""
+        """Whether frames arrive whole."""
         ...
 
     @property
@@ -51,12 +51,12 @@ class Endpoint(Protocol):
 
 
 def opened(address: Udp | Serial) -> Endpoint:
-    """Raises ConfigError for an address that cannot be had; a serial device may come later."""
+    """Raises ConfigError for an unavailable address; serial devices may come later."""
     return UdpEndpoint(address) if isinstance(address, Udp) else SerialEndpoint(address)
 
 
 class UdpEndpoint:
-    """Datagrams. A socket that listens answers the given peer; one that begins hears only its peer."""
+    """Datagrams: a listening socket answers the given peer; others hear only theirs."""
 
     whole = True
     state = "open"

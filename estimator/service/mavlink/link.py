@@ -51,7 +51,7 @@ _OF_THE_LINK: Final = frozenset(
 
 
 class MavlinkLink:
-    """An Outbox that feeds an Inbox. Raises ConfigError when its endpoint or key cannot be had."""
+    """An Outbox that feeds an Inbox. Raises ConfigError."""
 
     def __init__(
         self,
@@ -176,7 +176,6 @@ class MavlinkLink:
         return codec.odometry(estimate, pose, time_usec, counter, quality, autopilot)
 
     def _tell_alert(self) -> None:
-        """Send changes of the integrity state as STATUSTEXT; again where a part failed."""
         now = self._policy.integrity
         if now is None or now.state is self._alerted:
             return

@@ -16,7 +16,7 @@ _LEFT_UP: Final = frozenset({mavlink.MAV_FRAME_LOCAL_FLU, mavlink.MAV_FRAME_LOCA
 
 
 def camera(steps: CameraSteps, message: Any, t_ns: int) -> list[OdometryDelta]:
-    """VISION_POSITION_DELTA; a confidence of 0 is none. Raises ValueError for what is no motion."""
+    """VISION_POSITION_DELTA; confidence 0: none. Raises ValueError."""
     angles, moved = np.array(message.angle_delta, dtype=float), np.array(message.position_delta, dtype=float)
     return steps.add(t_ns, message.time_delta_usec * _US_NS, angles, moved) if message.confidence > 0.0 else []
 

@@ -85,7 +85,7 @@ class Wire(mavlink.MAVLink):  # type: ignore[misc]
         return isinstance(message, mavlink.MAVLink_unknown) and self.buf_len() > 0 and self.buf[self.buf_index] not in _STARTS
 
     def packed(self, message: Any) -> bytes | None:
-        """The frame to send; None: a number does not fit its field, or is none."""
+        """The frame; None: a number does not fit."""
         try:
             data = bytes(message.pack(self)) if _is_finite(message) else b""
         except (struct.error, OverflowError):

@@ -14,7 +14,7 @@ from models.messages import ODOMETRY_DELTA_TOPIC
 
 
 def serve_odometry(pipe: Connection, rig_file: Path) -> None:
-    """The process: a question is the bytes of a request and its two pairs."""
+    """The process: questions are a request and two pairs."""
 
     def load() -> tuple[int, Respond]:
         from estimator.frontend.files import load_odometry  # noqa: PLC0415  (OpenCV is loaded in this process only)
@@ -35,7 +35,7 @@ def serve_odometry(pipe: Connection, rig_file: Path) -> None:
 
 
 class OdometryWorker(VisionWorker):
-    """As VisionWorker; requests the pair of each key frame and the one before."""
+    """As VisionWorker, for pairs of key frames."""
 
     _measurement = ODOMETRY_DELTA_TOPIC
 

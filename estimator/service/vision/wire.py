@@ -52,7 +52,7 @@ class Unable(msgspec.Struct, frozen=True, tag=True):
 
 
 class Compiling(msgspec.Struct, frozen=True, tag=True):
-    """It compiles this kernel now, and everything waits; "": it is done, seconds later."""
+    """Compiling this kernel; "": done, seconds later."""
 
     kernel: _Words
     seconds: float = 0.0
@@ -85,7 +85,7 @@ def asked(pipe: Connection) -> Asked:
 
 
 def said(pipe: Connection) -> Said:
-    """What the process says next. Raises EOFError: it is dead; OSError: or says too much; MalformedError."""
+    """The process's next message. Raises EOFError (dead), OSError (too much), MalformedError."""
     try:
         message: Said = _said.decode(pipe.recv_bytes(_MOST_BYTES))
     except (msgspec.DecodeError, UnicodeDecodeError) as error:

@@ -123,7 +123,7 @@ class ZenohBus:
         self._senders = {topic: _Sender(self.session, config, topic, schema) for topic, schema in OUTPUTS.items()}
 
     def watch_domains(self, topics: Sequence[str], say: Callable[[str], None]) -> None:
-        """Say once of each ROS domain that is not ours and has a publisher of one of the topics."""
+        """Report once each foreign ROS domain that publishes one of the topics."""
         if not self._config.rmw:
             return
         seen = {-1, ours := self._config.domain}

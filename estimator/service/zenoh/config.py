@@ -27,7 +27,7 @@ _PATIENT, _MOST_BATCHES = ("real_time", "data"), 16
 
 
 class SecurityConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """[zenoh.security]: who may come, and what they may do. Files count from the configuration's folder."""
+    """[zenoh.security]: who may come and do what; files relative to the configuration."""
 
     users_file: Annotated[str | None, Meta(description="file of user:password lines; whoever is not in it is refused")] = None
     user: Annotated[str | None, Meta(description="who we are to others")] = None
@@ -64,7 +64,7 @@ class ZenohConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def session_config(config: ZenohConfig, folder: Path, inputs: Sequence[str], outputs: Sequence[str]) -> "zenoh.Config":
-    """The session's configuration; inputs and outputs: key expressions of both, for the access control. Raises ConfigError."""
+    """The session's configuration; inputs, outputs: key expressions, for access control. Raises ConfigError."""
     check(config)
     _check_keys(inputs)
     settings: dict[str, Any] = {
@@ -87,7 +87,7 @@ def session_config(config: ZenohConfig, folder: Path, inputs: Sequence[str], out
 
 
 def client_config(config: ZenohConfig, folder: Path, endpoint: str) -> "zenoh.Config":
-    """Of a client that only listens to the daemon, with the configured identity. Raises ConfigError."""
+    """Of a listening client with the configured identity. Raises ConfigError."""
     _check_endpoint("connect", endpoint)
     return _made({"mode": "client", "connect/endpoints": [endpoint], **_CLOSED, **_identity(config.security, folder)})
 
@@ -117,7 +117,7 @@ def first_sentence(error: Exception) -> str:
 
 
 class Endpoint(NamedTuple):
-    """PROTOCOL/HOST:PORT?metadata#settings; of a protocol without ports host is all of the address and port is empty."""
+    """PROTOCOL/HOST:PORT?metadata#settings; without ports host is the address, port empty."""
 
     protocol: str
     host: str

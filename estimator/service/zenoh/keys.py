@@ -20,7 +20,7 @@ def dds_type(schema: str) -> str:
 
 
 def rmw_key(domain: int, topic: str, schema: str, type_hash: str = "*") -> str:
-    """The key of a topic; type_hash "*" to subscribe to any release's definition."""
+    """Key of a topic; type_hash "*": any release."""
     return f"{domain}/{topic.strip('/')}/{dds_type(schema)}/{type_hash}"
 
 
@@ -51,17 +51,17 @@ def subscriber_token(domain: int, zid: str, node: str, entity: int, topic: str, 
 
 
 def publisher_tokens(topic: str) -> str:
-    """Key expression of the tokens of all publishers of a topic, on any domain; domain_of() one of them."""
+    """Token expression of a topic's publishers on any domain."""
     return f"@ros2_lv/*/*/*/*/MP/*/*/*/%{topic.strip('/').replace('/', '%')}/**"
 
 
 def domain_of(token: str) -> int:
-    """The domain of a publisher's token; -1 where it has none: any peer can declare one."""
+    """Domain of a publisher's token; -1: invalid (any peer can declare one)."""
     domain = token.split("/")[1]
     return int(domain) if domain.isdecimal() and len(domain) <= _DOMAIN_DIGITS else -1
 
 
 def bridge_token(zid: str, topic: str, schema: str, type_hash: str) -> str:
-    """Liveliness token that makes the bridge announce a publisher to DDS before anyone subscribes."""
+    """Token for the bridge to announce a publisher before anyone subscribes."""
     name, kind = topic.strip("/").replace("/", "§"), schema.replace("/", "§")
     return f"@/{zid}/@ros2_lv/MP/{name}/{kind}/:1:0:0,10:typehash={type_hash};"

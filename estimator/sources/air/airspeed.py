@@ -26,7 +26,7 @@ _USUAL = WindConfig()
 
 
 class AirspeedConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
-    """[airspeed]: the pitot tube and its errors; it is used where [inputs] airspeed names a topic."""
+    """[airspeed]: pitot tube and errors; off without [inputs] airspeed."""
 
     delay_s: Annotated[float, Meta(ge=-1, le=5, description="s: stamps are later than validity by this much")] = 0.0
     indicated: Annotated[

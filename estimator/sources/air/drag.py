@@ -41,12 +41,12 @@ class DragConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def drag_aid(t_ns: int, wind: WindConfig) -> Aid:
-    """The question what the drag is at t_ns, which the IMU samples before it answer."""
+    """Drag at t_ns, asked of the IMU samples before it."""
     return asked(t_ns, TOPIC, [FALSE_VELOCITY_M_S] * 2, wind_errors(wind, 2))
 
 
 def felt(aid: Aid, u: Array, config: DragConfig) -> tuple[Aid, DragForce]:
-    """The measurement in samples u (k, 6), with the errors that are its own."""
+    """The measurement in samples u (k, 6), with own errors."""
     square = 0.5 * SEA_LEVEL_KG_M3 / config.ballistic_kg_m2 if config.ballistic_kg_m2 else 0.0
     z = DragForce(u[:, _ACROSS].mean(axis=0), config.sigma_m_s2, config.momentum_1_s, square)
     through_air, by_force = z.velocity(z.f_b)

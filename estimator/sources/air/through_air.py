@@ -35,7 +35,7 @@ def scale_of(topic: str) -> str:
 
 
 def is_scale(block: str) -> bool:
-    """Whether a block is the scale of a sensor of motion through the air."""
+    """Whether a block is the scale of an air sensor."""
     return block.endswith(_SCALE)
 
 
@@ -97,7 +97,7 @@ class DragForce:
         return replace(self, wind_n=(float(wind_n[0]), float(wind_n[1])))
 
     def by_scale(self, x: Array) -> Array:
-        """d z / d s, (2, 1): the velocity through the air at the state x."""
+        """d z / d s, (2, 1), at the state x."""
         return self._through_air(x).through_air(x)[_ACROSS, np.newaxis]
 
     def velocity(self, f_b: Array) -> tuple[Array, Array]:
@@ -110,7 +110,7 @@ class DragForce:
         return -speed * along, -(outer / root + across * (np.eye(2) - outer))
 
     def evaluate(self, x: Array, gyro_b: Array) -> tuple[Array, Array]:
-        """As AirVelocity of u(f - b_a), with H_ba = d u / d f. See Measurement."""
+        """As AirVelocity of u(f - b_a), with H_ba = d u / d f."""
         nu, h = self._through_air(x).evaluate(x, gyro_b)
         h[:, E.BA][:, _ACROSS] = self.velocity(self.f_b - x[X.BA][_ACROSS])[1]
         return nu, h

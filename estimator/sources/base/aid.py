@@ -20,11 +20,10 @@ _FLOAT = struct.Struct("=d")
 class Aid(msgspec.Struct, frozen=True, eq=False):
     """A checked message as a measurement.
 
-    order: place among all; measurement(origin): z, None without an origin; absolute: fixes the map position; log_false: ln
-    density of a false reading; slow_errors: carried; detail: remark for the report; alignment_only: a prior, not fused in flight;
-    assumed: substituted accuracy; weighs: evidence between hypotheses, unless considered errors dominate, which the next reading
-    repeats; begin: entry in the order where its time begins; delay_sigma_s: of the validity, s; check(origin): refusal at that
-    place; uses_rate: depends on the angular rate.
+    order: place among all; measurement(origin): z or None; absolute: fixes the map position; log_false: ln density of a false
+    reading; slow_errors: carried; detail: remark; alignment_only: a prior, not fused in flight; assumed: substituted accuracy;
+    weighs: evidence between hypotheses, unless considered errors dominate; begin: entry where its time begins; delay_sigma_s: of
+    the validity, s; check(origin): refusal there; uses_rate: depends on the angular rate.
     """
 
     t_ns: int
@@ -61,7 +60,7 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
 
     @property
     def witness(self) -> str:
-        """The topic of its receiver's positions, which is no independent source, or its own."""
+        """Topic of its receiver's positions, no independent source, or its own."""
         return self.receiver or self.topic
 
 
@@ -69,7 +68,7 @@ class SensorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Section of an optional sensor, off until its key in [inputs] names a topic."""
 
     def aid(self, reading: Reading) -> "Aid | Refusal":
-        """The reading, whose values are finite, as a measurement, or why it is none."""
+        """A finite reading as a measurement, or its refusal."""
         raise NotImplementedError
 
 
@@ -105,7 +104,7 @@ FALSE_POSITION_M, FALSE_ATTITUDE_RAD, FALSE_VELOCITY_M_S = 50.0, 1.0, 30.0
 
 
 def log_false(rules: Rules, half_widths: Sequence[float]) -> float:
-    """ln(share x density) of a false reading, uniform in a box of these half widths."""
+    """ln(share x density) of a false reading, uniform in a box."""
     return _log_uniform(rules.false_share, tuple(half_widths))
 
 

@@ -31,5 +31,5 @@ IMU_PER_HOUR, IMU_M_S2 = 1e-4, 0.3
 
 
 def lasts_s(kind: str) -> float:
-    """For how long a fault of a source of this kind repeats itself, in the mean."""
+    """Mean duration of a repeated fault of such a source."""
     return LASTS_S.get(kind, OTHERS_LAST_S)

@@ -9,7 +9,7 @@ from models.messages import Array
 
 @cache
 def gate(probability: float, dof: int) -> float:
-    """The value that a chi-square variable of `dof` degrees of freedom stays below with `probability`."""
+    """Chi-square quantile of `dof` at `probability`."""
     return float(chi2.ppf(probability, dof))
 
 

@@ -22,7 +22,7 @@ _NAMES = ("gyroscope x", "gyroscope y", "gyroscope z", "accelerometer x", "accel
 
 
 def content(z: Measurement, other: bytes) -> bytes:
-    """What is compared: the value without its accuracy; other: of sensors that measure nothing of these."""
+    """Compared value without accuracy; other: of non-sensors."""
     match z:
         case Pose():
             return z.z_n.tobytes() + z.q_nb_wxyz.tobytes()
@@ -40,7 +40,7 @@ def spares_ns(z: Measurement, kind: str) -> int:
 
 
 def moves(x: Array, cov: Array) -> bool:
-    """Whether the vehicle is known to move, though the IMU is quiet: |v| > 3 sigma."""
+    """Whether the vehicle moves although the IMU is quiet: |v| > 3 sigma."""
     speed = math.hypot(*x[X.V].tolist())
     return speed > max(_SLOW_M_S, _SIGMAS * math.sqrt(sum(cov.diagonal()[E.V].tolist())))
 

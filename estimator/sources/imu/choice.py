@@ -72,7 +72,7 @@ class ImuAid(Aid, frozen=True, eq=False, kw_only=True):
 
 
 class Choice:
-    """Which IMU leads. topics: those of [inputs] imu; with fewer than two every sample is used."""
+    """Which IMU leads. topics: of [inputs] imu; below two every sample is used."""
 
     def __init__(self, topics: tuple[str, ...]) -> None:
         self._topics = topics
@@ -82,7 +82,7 @@ class Choice:
         self.forget()
 
     def forget(self) -> None:
-        """The clock has stepped: what was seen counts no more; the leader stays."""
+        """After a clock step: forget all but the leader."""
         self._streams = {topic: Stream() for topic in self._topics}
         self._first_ns: int | None = None
         self._checked_block = -1
@@ -91,7 +91,7 @@ class Choice:
         self._apart_ns: int | None = None  # since then the leader and another contradict each other
 
     def remark(self, t_ns: int) -> str:
-        """For Health: why another IMU than the first leads, and which contradict each other."""
+        """For Health: why another IMU leads, and contradictions."""
         since_ns, doubt = self._doubt
         return "; ".join(filter(None, (self.why, doubt if t_ns - since_ns < _DOUBT_NS else "")))
 

@@ -38,7 +38,7 @@ _LATE_IMU_MS: Final = 25.0
 
 
 def autopilot(config: Config, folder: Path) -> list[Check]:
-    """All of it; folder: from which the configuration's files count. Nothing is set."""
+    """All checks; folder: base of files. Sets nothing."""
     if not config.mavlink.endpoint:
         return [judge("autopilot", "no [mavlink] endpoint", fail=True, advice="the parameters are read over MAVLink: give one")]
     try:
@@ -62,7 +62,7 @@ class _Parameters:
         self._values = values
 
     def get(self, name: str) -> float:
-        """NaN where the autopilot has none of that name: no comparison is true."""
+        """NaN for an unknown name: no comparison is true."""
         return self._values.get(name, float("nan"))
 
     def check(self, name: str, good: bool, advice: str, *, warn: bool = False) -> Check:

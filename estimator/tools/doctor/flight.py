@@ -94,7 +94,6 @@ def _zenoh(whole: Config, folder: Path) -> Iterator[Check]:
 
 
 def _refused(endpoint: str) -> OSError | None:
-    """Why a Zenoh endpoint cannot be listened on; None where it can, or is not tried."""
     protocol, host, port, _ = Endpoint.of(endpoint)
     kinds = {"tcp": socket.SOCK_STREAM, "tls": socket.SOCK_STREAM, "udp": socket.SOCK_DGRAM, "quic": socket.SOCK_DGRAM}
     if protocol not in kinds or not port.isdecimal():
@@ -204,7 +203,7 @@ def _try_to_claim(folder: Path) -> None:
 
 
 def package(home: Path, owners: Sequence[int] | None = None) -> Check:
-    """The installed code must not be writable by others. owners: permitted user ids, None: root and this user."""
+    """The installed code must not be writable by others; owners: permitted user ids, None: root and this user."""
     trusted = set(owners if owners is not None else (0, os.getuid()))
     for path in (home, *sorted(home.rglob("*.py"))):
         seen = path.stat()

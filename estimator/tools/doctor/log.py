@@ -253,7 +253,6 @@ def _halves(name: str, samples: Array) -> list[Check]:
 
 
 def _axes(name: str, f_b: Array, axes: str) -> Check:
-    """At rest and level f_b = (0, 0, -g) in FRD; else other axes or a mounting rotation."""
     tilt_deg = float(np.degrees(np.arccos(np.clip(-f_b[2] / max(np.linalg.norm(f_b), 1e-9), -1.0, 1.0))))
     if tilt_deg > 135.0:
         advice = f'the other convention fits: set [imu] axes = "{"frd" if axes == "flu" else "flu"}"'

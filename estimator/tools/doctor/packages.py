@@ -15,7 +15,7 @@ _CAMERAS: Final = "this needs OpenCV, which an installation without cameras leav
 
 
 def clashes() -> list[str]:
-    """What hides one of our packages, or writes into its folder: a line for each."""
+    """What hides our packages or writes into their folders, a line each."""
     root = Path(__file__).resolve().parents[3]
     found = []
     for name in NAMES:
@@ -36,7 +36,7 @@ def clashes() -> list[str]:
 
 
 def explain(error: ImportError) -> str | None:
-    """Cause and remedy of a failed import, on one line; None where neither a clash nor an extra."""
+    """Cause and remedy of a failed import, one line; None if neither clash nor extra."""
     top = (error.name or "").partition(".")[0]
     if top in NAMES and (found := clashes()):
         return f"{found[0]}: rename or uninstall it, or take it off PYTHONPATH; best is an environment of its own (uv tool, venv)"

@@ -21,7 +21,7 @@ _MISSING = {
 
 
 class LookAlike(msgspec.Struct, frozen=True):
-    """Two landmarks, the distance of their centres, and the similarity of their descriptions, 0..1."""
+    """Two landmarks, centre distance, similarity 0..1."""
 
     a: str
     b: str
@@ -44,7 +44,7 @@ class Nested(msgspec.Struct, frozen=True):
 
 
 class MapCheck(msgspec.Struct, frozen=True, kw_only=True):
-    """What was found. rejected: features that are not in the map, each with its reason."""
+    """Findings; rejected: features left out, with reasons."""
 
     landmarks: int
     features: int

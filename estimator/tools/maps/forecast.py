@@ -4,8 +4,7 @@ An image gives a fix by landmarks with whole roofs in view, unless ambiguous wit
 
     usable(i):  nearest similar landmark > 2 r95,  or three in view whose arrangement repeats no nearer than 2 r95
 
-Its covariance: the measurement's, proportional to distance, and the landmarks' own. The share `found` of images has a fix, drawn
-three times; the largest radius counts.
+A share `found` of images has a fix, drawn three times; the largest radius counts.
 """
 
 import math
@@ -113,7 +112,7 @@ class Sensors:
         return ImuSample(t_ns, t_ns, (0.0, 0.0, 0.0), vec3(self._flight.accel_b[k]))
 
     def fix(self, fix: LandmarkFix) -> LandmarkFix | None:
-        """What becomes of a fix that can be had; None: not found in this image."""
+        """A possible fix as received, or None."""
         return fix if self._rng.random() < self._found else None
 
 
@@ -213,7 +212,7 @@ class _Seen:
         return rows[alone | together], len(rows)
 
     def fix(self, t_ns: int, p_n: Array, q: tuple[float, float, float, float], rows: NDArray[np.int64]) -> LandmarkFix:
-        """One of all usable landmarks; the mean of m has 1/m of the error of each."""
+        """A fix of all usable landmarks; m have 1/m of an error."""
         c, m = self._map.columns, len(rows)
         distance = float(np.mean(c.base_d[rows] - c.height_m[rows])) - float(p_n[2])
         sigma, turn = self._camera.sigma_share * distance / math.sqrt(m), math.radians(self._camera.sigma_deg)

@@ -44,7 +44,7 @@ def landmarks(ortho: Orthophoto, colours_bgr: tuple[Colour, ...], least_m2: floa
 
 
 def resolution_m(ortho: Orthophoto) -> float:
-    """Side of a square as large as one pixel in the image's middle."""
+    """Side of a pixel's square in the image's middle."""
     middle = ortho.affine[:, :2] @ (0.5 * np.array(ortho.image.shape[1::-1])) + ortho.affine[:, 2]
     square = projection.to_lonlat(ortho.epsg, middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]) @ ortho.affine[:, :2].T)
     assert square is not None

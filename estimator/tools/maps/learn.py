@@ -34,7 +34,7 @@ _READ, _SMOOTHED = 0.1, 0.4  # of the work
 
 
 class LearnError(ValueError):
-    """A log from which nothing can be learned; one line says why and what to do."""
+    """A log from which nothing can be learned; one line."""
 
 
 class LearnConfig(msgspec.Struct, frozen=True):

@@ -24,7 +24,7 @@ _MARGIN_M: Final = 50.0
 
 
 class _Choice(NamedTuple):
-    """A look whose image is shown, and what the estimator made of its fix."""
+    """An attempt with its image and the estimator's decision."""
 
     t_ns: int
     frame: Frame

@@ -86,7 +86,7 @@ class Flight:
 
 
 def read(path: Path, progress: Callable[[float], None] = lambda _: None) -> Flight:
-    """The Flight of a log. Raises LogError for a file that is no log."""
+    """The Flight of a log. Raises LogError."""
     flight = Flight(path)
     with LogReader(path) as reader:
         for count, record in enumerate(reader):

@@ -73,7 +73,7 @@ def bounds(key: Key) -> tuple[float, float]:
 
 
 def written(text: str, values: Values) -> str:
-    """A TOML text with these keys set, everything else (comments too) as it was."""
+    """A TOML text with these keys set, otherwise unchanged."""
     lines = text.splitlines()
     for name, value in values.items():
         section, _, key = name.partition(".")

@@ -228,7 +228,6 @@ def _compare(z: Absolute, estimate: Estimate | None, config: Config) -> _Compari
 
 
 def _noise(z: PoseFix | LandmarkFix, config: Config) -> Array:
-    """R of a fix as in the filter; components not given become finite."""
     rules = config.landmark_fix if isinstance(z, LandmarkFix) else config.pose_fix
     scale = rules.noise_scale if z.topic else 1.0  # the truth has no topic
     common = np.zeros((6, 6)) if z.covariance_common is None else z.covariance_common
@@ -237,7 +236,6 @@ def _noise(z: PoseFix | LandmarkFix, config: Config) -> Array:
 
 
 def _gnss(z: GnssFix, p_n: Array, q: Array, estimate: Estimate, config: Config) -> tuple[Array, Array]:
-    """Innovation (3,) and noise (3, 3) of a GNSS position, slow error included."""
     origin, rules = Origin.of(estimate.origin), config.gnss
     if origin is None:
         return np.full(3, FALSE_POSITION_M), np.eye(3)

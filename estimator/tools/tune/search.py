@@ -41,7 +41,7 @@ class Summary(msgspec.Struct, frozen=True):
 
 
 class Gain(msgspec.Struct, frozen=True):
-    """Difference of two configurations' scores over the same windows, per fix: mean and its standard error."""
+    """Score difference of two configurations per fix: mean, standard error."""
 
     mean: float
     error: float
@@ -81,7 +81,7 @@ class TuneResult(msgspec.Struct, frozen=True):
 
 
 class TuneConfig(msgspec.Struct, frozen=True):
-    """coarse, fine: evaluations of the two searches at most; outage_s, truth: as in score.Job."""
+    """coarse, fine: evaluations at most; outage_s, truth: as score.Job."""
 
     coarse: Annotated[int, Meta(ge=0)] = 16
     fine: Annotated[int, Meta(ge=0)] = 40
@@ -107,7 +107,7 @@ class Tuner:
         self._expected = settings.coarse + settings.fine + 2 * len(self._keys) + len(_BACK) * (len(self._keys) + 1) + 1
 
     def run(self, held_out: Sequence[str] = ()) -> TuneResult:
-        """Tune, and report the gain. Raises LogError for a log that cannot be used."""
+        """Tune and report the gain. Raises LogError."""
         config = parse(self._config)
         start = np.array([to_search(key, value_of(config, key)) for key in self._keys])
         before, untouched = self._of([{}])[0], self._of([{}], held_out)[0] if held_out else []
@@ -172,7 +172,6 @@ class Tuner:
         return place
 
     def _cautious(self, best: Array, start: Array) -> Array:
-        """Back towards wider noise, all keys together, then each, while not worse beyond chance."""
         reference = self._windows([best])[0]
         back = np.where([key.is_noise for key in self._keys], np.maximum(start - best, 0.0), 0.0)
         place, end = best, best + back
