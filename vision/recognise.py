@@ -115,7 +115,6 @@ class SegmentPath:
         return segment_regions(views.work, views.valid, Settings(colours, self._config.space, limits=limits))
 
     def _measure(self, images: Images, views: _Views, regions: list[Region], prior: Prior, known: Catalogue) -> _Seen | str:
-        """Regions in metres; a pair that contradicts its calibration counts as one camera, a swapped one as none."""
         usable_regions = [r for r in regions if not r.touches_border or self._corners(views, r).sum() > 1]
         refused = [_cut_off(r) for r in regions if all(r is not one for one in usable_regions)]
         if views.other is None:

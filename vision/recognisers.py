@@ -1,13 +1,12 @@
 """Which recogniser processes an image, by need and by cost.
 
     landmarks by description   always, where the map has any: pipeline.py
-    registration               where they gave nothing, the map holds an image, and the prior limits the search: registration.py
-    peak                       where its blocks do not agree: the peak of its search, where that is very clear, peak.py
-    features                   where the prior is too wide for that, or none of these is certain: features.py
-    learned features           where they are not either, and models are given: learned.py
-    peak and another evidence  where the peak is only clear: edges that lie the same way, blocks that are likely, or images of two
-                               other views that agree
-    ridge                      where nothing of this succeeded, and the search's best positions are one line: across it, peak.py
+    registration               without a result, with a map image and a limited prior: registration.py
+    peak                       blocks disagree: a very clear peak of the search, peak.py
+    features                   prior too wide, or nothing certain: features.py
+    learned features           nothing certain, models given: learned.py
+    peak and another evidence  a clear peak: edge directions, likely blocks, or images of two other views that agree
+    ridge                      nothing succeeded, best positions on one line: across it, peak.py
 
 The image counts as one landmark, named as its file. Results depend on the requests alone: a replay decides the same.
 """

@@ -83,7 +83,7 @@ def disparity_offset(rig: StereoRig) -> float:
 
 
 class _Pyramid:
-    """Both images, halved again and again, and their edges, each made when first asked for."""
+    """Pyramids of both images and their edges, on demand."""
 
     def __init__(self, left: Image, right: Image) -> None:
         self._grey = [(np.ascontiguousarray(left), np.ascontiguousarray(right))]
@@ -127,7 +127,6 @@ def _match(pair: _Pyramid, region: Region, rig: StereoRig, search: Search) -> Ma
 
 
 def _coarse(pair: _Pyramid, region: Region, offset: float, reach: float, search: Search) -> tuple[int, float] | str:
-    """Coarse disparity [px] and score, or why there is none; both sides of infinity are searched."""
     level = 1
     while region.mask.sum() / 4**level > search.template_px and level < 4:
         level += 1
@@ -150,7 +149,6 @@ def _coarse(pair: _Pyramid, region: Region, offset: float, reach: float, search:
 
 
 def _to_the_pixel(pair: _Pyramid, rim: Pixels, disparity: int, search: Search) -> tuple[int, int] | str:
-    """Disparity and vertical offset to one pixel at full resolution, or why there is none."""
     left, right = pair.grey(0)
     some = rim[:: max(len(rim) // 900, 1)]
     vertical = 0

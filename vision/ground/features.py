@@ -61,12 +61,12 @@ class FeatureMap:
 
     @classmethod
     def of(cls, image: GroundImage, config: FeatureConfig | None = None) -> "FeatureMap":
-        """The keypoints of an image; takes about a second for each million pixels."""
+        """Keypoints of an image, about a second a million pixels."""
         return cls.placed(image, *map_keypoints(image.pyramid, config))
 
     @classmethod
     def placed(cls, image: GroundImage, px: Array, descriptors: Descriptors) -> "FeatureMap":
-        """Keypoints at pixels (N, 2) of an image, where its georeference and its heights have them."""
+        """Keypoints at pixels (N, 2), by georeference and heights."""
         return cls(image, image.points(px @ image.affine[:, :2].T + image.affine[:, 2]), descriptors)
 
     def near(self, position_n: Array, radius_m: float) -> NDArray[np.intp]:
@@ -104,7 +104,7 @@ class Matches:
 
 @dataclass(frozen=True, slots=True)
 class Recognised:
-    """A pose, how many features matched, and how many of them it explains."""
+    """A pose, and how many features matched and fit."""
 
     pose: PoseEstimate
     matched: int

@@ -33,7 +33,7 @@ _JUDGED = FeatureConfig()
 
 
 class ModelError(ValueError):
-    """A model that cannot be used; the text is one line and names the file."""
+    """An unusable model; one line with the file."""
 
 
 class Model(NamedTuple):
@@ -133,7 +133,6 @@ def recognise_learned(
 
 
 def _to_camera(rig: StereoRig, px: Array) -> Array:
-    """Pixels (N, 2) of the extractor's upright input -> camera pixels, turned where its image is wide."""
     width, height = rig.left.width, rig.left.height
     x, y = (px[:, 0] + 0.5) / _COLUMNS, (px[:, 1] + 0.5) / _ROWS
     u, v = (y, 1.0 - x) if width > height else (x, y)
@@ -141,7 +140,6 @@ def _to_camera(rig: StereoRig, px: Array) -> Array:
 
 
 def _widened(rig: StereoRig, px: Array, wide: float) -> Array:
-    """Rays (N, 3) of pixels of a camera without distortion that sees `wide` times as much."""
     c = rig.left
     middle = 0.5 * (np.array([c.width, c.height]) - 1.0)
     px = middle + wide * (px - middle)
@@ -149,7 +147,6 @@ def _widened(rig: StereoRig, px: Array, wide: float) -> Array:
 
 
 def _on_ground(rays: Array, pose: tuple[Array, Array], map_image: GroundImage) -> tuple[Array, Mask]:
-    """Ground points (N, 3) on camera rays (N, 3), and which (N,) exist."""
     p_nc, R_nc = pose
     d = rays @ R_nc.T
     good: Mask = d[:, 2] > _STEEPEST * np.linalg.norm(d, axis=1)

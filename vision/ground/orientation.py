@@ -25,7 +25,7 @@ def directions(view: Float, structure: Float) -> Float:
 
 
 def coefficient(image: Float, template: Float, mask: Float, at: tuple[int, int]) -> float:
-    """rho at (row, column) of all shifts, or beside it. image, template: directions."""
+    """rho at (row, column) of all shifts, or near it; image, template: directions."""
     (row, column), (height, width) = at, mask.shape
     top, left = max(row - _BESIDE_PX, 0), max(column - _BESIDE_PX, 0)
     image = image[top : row + _BESIDE_PX + height, left : column + _BESIDE_PX + width]

@@ -1,14 +1,14 @@
 """Position by the peak of registration's search alone, where blocks do not agree.
 
-The point seen at the middle of the view, by the prior, is the map's point at the peak. Covariance of an image, and common to all:
+Covariance of an image, and common to all:
 
     C = (1 - rho^2) / rho  K^-1  c  +  (f q)^2 I,   K = -d^2 rho / d(north, east)^2
     s = m unevenness (1 - rho)^4
 
 s: shadows and leaning objects; a turned shadow moves the peak half its length at worst, m = 1 / (2 tan 15 deg). The peak must
-exceed the second one, zero, and the scatter of all positions: of about 10,000 Gaussian correlations the best exceeds 5 sigma by
-chance in 0.3 % of searches; of M positions the best is r times the second with probability M^(-2 (r - 1)). A lower peak, or a
-line of peaks (ridge.py, measured across only), needs other evidence (orientation.py, recognisers.py).
+exceed the second one, zero, and the scatter: of 10,000 Gaussian correlations the best exceeds 5 sigma by chance in 0.3 %; of M
+positions the best is r times the second with M^(-2 (r - 1)). A lower peak, or a line (ridge.py), needs other evidence
+(orientation.py, recognisers.py).
 """
 
 import math

@@ -1,14 +1,13 @@
 """Position by registration of the camera's image with an orthophoto, near the prior.
 
-coarse   the position, heading and height within the prior where the whole is most like the map (search.py)
-blocks   from there its blocks are shifted singly, to a fraction of a pixel, twice, then finer: each is a point of the map
-         whose pixel is known, with the covariance that the peak's curvature and height give
+coarse   position, heading and height within the prior where the whole is most like the map (search.py)
+blocks   shifted singly, sub-pixel, twice, then finer: map points with pixel and covariance
 
     C = (1 - rho^2) / rho  K^-1  a / n,   K = -d^2 rho / ds^2,   a = 2 pi s^2: pixels whose noise is one after the blur s
 
 pose     of these points and the prior (point_pose.py)
-no       unless one position stands out (peak to second peak), and so many blocks agree on one pose that chance does not
-         explain it. A position that is only likely waits for the next image to say the same (recognisers.py)
+no       unless one position stands out, and more blocks agree on a pose than by chance; a likely position waits for
+         the next image (recognisers.py)
 """
 
 import math
@@ -133,7 +132,6 @@ def _laid(
 def _blocks(
     rig: StereoRig, levels: tuple[Image, ...], pose: tuple[Array, Array], map_image: GroundImage, sizes: tuple[int, int, int]
 ) -> _Matched:
-    """Image blocks, each shifted over the map; sizes: grid points along the search and a block."""
     most, reach, side = sizes
     camera: Camera = (rig.left, *rig.camera_pose(*pose))
     grid = make_grid(camera, map_image, most)

@@ -34,7 +34,7 @@ _STEP_PX = 2.0  # at the patch's end, half a step of heading and scale
 
 
 class RegistrationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How far and how finely the map is searched, and what is accepted."""
+    """Range and resolution of the search, and acceptance."""
 
     reach_sigma: Annotated[float, Meta(gt=0, le=5, description="standard deviations of the prior that are searched")] = 3.0
     coarse: Annotated[int, Meta(ge=64, description="points along the image in the search; it reaches so many each way")] = 128
@@ -52,12 +52,11 @@ class RegistrationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True
 
 @dataclass(frozen=True, slots=True)
 class Peak:
-    """The best position of the search. p_n, R_nb: the pose there; ratio: of first to second peak; correlation: coefficient at it.
+    """Best position: p_n, R_nb; ratio: first to second peak; correlation: its coefficient.
 
-    deviations: correlation over the standard deviation of those of other positions; seen_n (3,): ground where by the prior the
-    middle of what is seen lies; shown_n (2,): where by the map; q: points of the search are so many m apart; curvature (2, 2):
-    -d^2 rho / d(north, east)^2 [1/m^2], None where the peak has no one position, or lies at the border of the search; oriented:
-    coefficient of the edges' directions; ridge: where positions along one line are as good.
+    deviations: in sigmas of other positions; seen_n (3,): middle of the view by the prior, shown_n (2,): by the map; q: point
+    spacing, m; curvature (2, 2): -d^2 rho / d(north, east)^2 [1/m^2], None without a single maximum inside; oriented: coefficient
+    of the edges' directions; ridge: positions along a line are as good.
     """
 
     p_n: Array
@@ -103,7 +102,7 @@ def shift_of_ground(arm_n: Array) -> Array:
 def search(
     rig: StereoRig, levels: tuple[Image, ...], prior: Prior, map_image: GroundImage, config: RegistrationConfig
 ) -> Peak | NotRegistered:
-    """The position, heading and height where the image's structure is most like the map's."""
+    """Position, heading, height of the best correlation with the map."""
     camera: Camera = (rig.left, *rig.camera_pose(prior.p_n, prior.R_nb))
     grid = make_grid(camera, map_image, config.coarse)
     if grid is None:
@@ -155,7 +154,6 @@ class _Searched:
 
 
 def _turns(grid: Grid, prior: Prior, height: float, reach_sigma: float) -> tuple[float, list[int]]:
-    """Step of heading [rad] and scale (a few points at the patch's ends), and number each way."""
     step = 2.0 * _STEP_PX / (0.5 * max(grid.shape))
     sigmas = math.sqrt(float(prior.covariance[5, 5])), math.sqrt(float(prior.covariance[2, 2])) / height
     return step, [math.ceil(max(reach_sigma * sigma - 0.5 * step, 0.0) / step) for sigma in sigmas]

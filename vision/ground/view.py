@@ -39,7 +39,7 @@ class Grid:
         return position
 
     def positions(self, margin: int = 0) -> Array:
-        """All of them, grown by a margin: (h + 2 margin, w + 2 margin, 2)."""
+        """Positions with a margin: (h + 2 margin, w + 2 margin, 2)."""
         rows, columns = (np.arange(-margin, n + margin, dtype=np.float64) for n in self.shape)
         at = np.stack(np.meshgrid(columns, rows), axis=-1)
         return self.position(at.reshape(-1, 2)).reshape(at.shape)
@@ -86,7 +86,7 @@ def _footprint(camera: Camera, map_image: GroundImage) -> Array | None:
 
 
 def camera_view(levels: tuple[Image, ...], camera: Camera, grid: Grid, map_image: GroundImage) -> tuple[Float, Mask]:
-    """Grey values (h, w) of the camera's image (pyramid `levels`), and where it shows the ground."""
+    """Grey values (h, w) of the camera's pyramid, and where it shows ground."""
     model, p_nc, R_nc = camera
     px = model.project((map_image.points(grid.positions().reshape(-1, 2)) - p_nc) @ R_nc)
     values = sample(levels, px.reshape(*grid.shape, 2), grid.q / grid.camera_m)

@@ -17,7 +17,7 @@ _AROUND_M = 40.0  # radius over which the density of objects around an object is
 
 
 class Assumptions(msgspec.Struct, frozen=True):
-    """What is taken for granted about world and segmentation, before an image is seen."""
+    """Prior assumptions about world and segmentation."""
 
     unmapped_fraction: float = 0.3  # of the objects that look like landmarks
     gone_fraction: float = 0.1  # of the map

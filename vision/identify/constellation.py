@@ -43,7 +43,7 @@ class Constellation:
         self._held: list[_Held] = []
 
     def clear(self) -> None:
-        """Forget: a fix was made, and the prior's error is another one from now on."""
+        """Forget after a fix: the prior's error has changed."""
         self._held = []
 
     def recall(self, seen: list[Sighting], t_ns: int, prior: Prior) -> list[Sighting]:

@@ -108,7 +108,6 @@ def _from_height(prior: Prior, down: float) -> Array:
 
 
 def _likeness(sightings: list[Sighting], landmarks: Catalogue, scale: Array, sigma: float) -> Array:
-    """Similarity (M, J) at the best scale of each pair; of visible sides where cut off."""
     like = similarities(sightings, landmarks, _fitted(sightings, landmarks, scale, sigma))
     for i, sighting in enumerate(sightings):
         if sighting.partial is not None:

@@ -42,12 +42,12 @@ def from_stereo(m: Measured, prior: Prior, rig: StereoRig) -> Sighting | None:
 
 
 def shared_scale_sigma(measured: Sequence[Measured]) -> float:
-    """Relative error of depth that the rig's calibration gives all regions; at least 0.1 %."""
+    """Relative depth error common to all regions by the rig; >= 0.1 %."""
     return max(float(np.median([m.rig_sigma_px / m.disparity_px for m in measured], axis=0)) if measured else 0.0, 1e-3)
 
 
 def from_one_camera(region: Region, prior: Prior, rig: StereoRig, roof_d: float) -> Sighting | None:
-    """A region laid on the plane of the roofs (down = roof_d), seen by rig.left."""
+    """A region on the roofs' plane (down = roof_d), seen by rig.left."""
     return _on_level(region, prior, rig, roof_d - float(rig.camera_pose(prior.p_n, prior.R_nb)[0][2]), 1e-3)
 
 

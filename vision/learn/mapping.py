@@ -111,7 +111,6 @@ def observe(
 def _arm(
     region: Region, measured: Measured | None, rig: StereoRig, down: float, down_c: Array, config: MappingConfig
 ) -> tuple[Array, float, float]:
-    """x_c of the centroid and relative errors of its length, own and rig's; a guess where not measured."""
     outline = np.ascontiguousarray(region.outline)
     middle = polygon.describe(outline, np.array([0, len(outline)]))[:, [polygon.NORTH, polygon.EAST]]
     ray = rig.left.ray(middle)[0]

@@ -113,7 +113,6 @@ def _landmark(name: str, track: Track, position: Position, apart: Array, ground_
 
 
 def _outline_sigma(track: Track, outline: Array, outlines: list[Array], height_sigma_m: float, pixel_m: float) -> float:
-    """Sigma of the outline's size: edge errors, scatter of sizes, roof nearer to the cameras."""
     size, perimeter = polygon.area(outline), float(np.linalg.norm(np.roll(outline, -1, axis=0) - outline, axis=1).sum())
     scatter = float(np.std([polygon.area(o) for o in outlines])) / perimeter / np.sqrt(len(outlines))
     distance = float(np.median([track.position[2] - one.p_nc[2] for one in track.observations]))

@@ -177,7 +177,6 @@ class StereoOdometry:
         return Tracks(y0, y1)
 
     def _columns(self, first: Frame, raw: Array, px: Array, plane: Plane | None) -> Array:
-        """u_r (N,) of corners, raw and rectified (N, 2): with a height near the plane only."""
         if first.right is None:
             return np.full(len(px), np.nan)
         most = np.full(len(px), _MOST_DISPARITY * self._left.camera.width)
@@ -278,7 +277,6 @@ def _shared(px: Array, residuals: Array) -> float:
 
 
 def _turn_flaw(solution: Solution, prediction: Prediction) -> str:
-    """Whether the rotation contradicts the predicted one; a wrong solution shows there first."""
     e, S = _difference(solution, prediction)
     distance = float(e[3:] @ np.linalg.solve(S[3:, 3:], e[3:]))
     if distance > _TURN_CHI2:

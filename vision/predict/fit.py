@@ -153,7 +153,6 @@ class Fitter:
     def _estimated(
         self, views: Views, marks: list[Landmark], start: tuple[Pose, Array], before: tuple[Pose, Array] | None, prior: Prior
     ) -> PoseEstimate | NoPose:
-        """The fit from the last fit's pose and map errors (L, M), else from the start."""
         if before is not None:
             pose, shift_m = before
             again = estimate_pose(self._rig, views, marks, pose, prior, self._again, shift_m)
@@ -222,7 +221,6 @@ def _start(images: Images, hypothesis: Candidate, chosen: list[int], asked: list
 
 
 def _off_map(marks: list[Landmark], fit: PoseEstimate) -> Array:
-    """Chi-square (L,) of shift, rise and growth off the map."""
     sigma = np.array([(m.sigma_m, m.sigma_m, m.height_sigma_m, m.outline_sigma_m) for m in marks])
     error = fit.shift_m[:, : sigma.shape[1]]
     return np.asarray(np.sum(np.where(sigma > 0.0, error / np.maximum(sigma, 1e-9), 0.0) ** 2, axis=1))

@@ -75,7 +75,6 @@ def outline_residuals(
 
 
 def _edge_offsets(image: Canvas, px: Array, normal: Array, reach_px: float) -> Array:
-    """Distance [px] along normals (N, 2) to the steepest change, sub-pixel; NaN without."""
     s = np.arange(-reach_px, reach_px + _STEP_PX, _STEP_PX)
     beside = normal[:, ::-1] * np.array([1.0, -1.0])
     positions = (

@@ -159,7 +159,6 @@ def _wall(rng: np.random.Generator) -> tuple[float, float, float]:
 
 
 def _err(mark: Landmark, rng: np.random.Generator) -> Landmark:
-    """The true landmark of a mapped one; equal draws for all sigmas."""
     north, east, growth, rise = rng.standard_normal(4)
     outline = grow(mark.outline_n, growth * mark.outline_sigma_m) + mark.sigma_m * np.array([north, east])
     height, base = mark.height_m + rise * mark.height_sigma_m, mark.base_d
