@@ -397,7 +397,7 @@ class Health(msgspec.Struct, frozen=True, eq=False):
 
 
 class Alert(StrEnum):
-    """Whether the estimate may be used for what the alert limits are for."""
+    """Use of the estimate against the alert limits."""
 
     NOT_JUDGED = "not judged"  # no alert limit is configured
     USABLE = "usable"

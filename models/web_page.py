@@ -65,7 +65,7 @@ def image(alt: str, data: bytes, kind: str = "png") -> str:
 
 
 def page(title: str, body: str, style: str = "", script: str = "") -> str:
-    """The page. body is HTML already; script is the one that may run."""
+    """The page; body: HTML; script: the only one that may run."""
     digest = base64.b64encode(sha256(script.encode()).digest()).decode()
     allowed = f"script-src 'sha256-{digest}'; " if script else ""
     policy = f"default-src 'none'; {allowed}style-src 'unsafe-inline'; img-src data:"

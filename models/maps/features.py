@@ -127,7 +127,7 @@ class Parts:
         self.missing = array("B")  # bit k: DEFAULTED[k]
 
     def add(self, number: int, raw: msgspec.Raw) -> None:
-        """One feature: as we write it, which is quick, or as anybody does."""
+        """Add a feature, ours (fast) or another's."""
         try:
             ours = _decode_ours(raw)
         except _UNDECODABLE:

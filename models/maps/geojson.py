@@ -35,7 +35,7 @@ _VERDICTS = {
 
 
 def read(data: bytes, defaults: Defaults) -> tuple[Vec3, Columns, MapReport, tuple[float, float], bool]:
-    """Origin (lat_deg, lon_deg, alt_m), landmarks, findings, common_sigma_m, automatic of a GeoJSON file. Raises MapError."""
+    """Origin (lat_deg, lon_deg, alt_m), landmarks, findings, common_sigma_m, automatic. Raises MapError."""
     head, raw_features = features(data.removeprefix(b"\xef\xbb\xbf"))
     parts = Parts(defaults)
     for number, raw in enumerate(raw_features, 1):
@@ -104,12 +104,10 @@ def exchanged(lonlat: Array, offsets: NDArray[np.int64]) -> bool:
 
 
 def _metres(lonlat: Array) -> Array:
-    """Length of a degree of longitude and latitude, in degrees of latitude."""
     return np.column_stack((np.cos(np.radians(lonlat[:, 1])), np.ones(len(lonlat))))
 
 
 def _right_angles(sides: Array, after: NDArray[np.int64]) -> float:
-    """Share of the corners within 3 degrees of a right angle."""
     a, b = sides, sides[after]
     length = np.hypot(*a.T) * np.hypot(*b.T)
     dot = np.abs(np.sum(a * b, axis=1))
@@ -150,7 +148,6 @@ def _middle(lonlat: Array, offsets: NDArray[np.int64], good: NDArray[np.bool_], 
 
 
 def _to_ned(origin: Vec3, lonlat: Array, offsets: NDArray[np.int64], ground: Array, roof: Array) -> tuple[Array, Array]:
-    """North, east (V, 2) of roof corners, down (N,) of the ground under the first."""
     counts = np.diff(offsets)
     north, east, _ = pymap3d.geodetic2ned(lonlat[:, 1], lonlat[:, 0], np.repeat(roof, counts), *origin)
     first = lonlat[offsets[:-1]]
@@ -161,7 +158,6 @@ def _to_ned(origin: Vec3, lonlat: Array, offsets: NDArray[np.int64], ground: Arr
 def _in_reach(
     parts: Parts, origin: Vec3, lonlat: Array, vertices: Array, offsets: NDArray[np.int64], good: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Which outlines are of a landmark's size and near enough for one flat frame."""
     counts = np.diff(offsets)
     first = vertices[offsets[:-1]]
     far = good & (np.hypot(*first.T) > MAX_DISTANCE_M)

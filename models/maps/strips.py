@@ -19,7 +19,7 @@ _LEAST_COSINE = -0.5  # between neighbouring normals
 
 
 def strips(line: Sequence[Sequence[float]], width_m: float) -> Iterator[list[list[float]]]:
-    """Outlines, corners as longitude and latitude [deg], of a line given as the same."""
+    """Outlines (longitude, latitude [deg]) of a line."""
     lonlat = np.array([position[:2] for position in line], dtype=np.float64).reshape(-1, 2)
     if not len(lonlat):
         return
@@ -30,7 +30,6 @@ def strips(line: Sequence[Sequence[float]], width_m: float) -> Iterator[list[lis
 
 
 def _pieces(line_m: Array) -> Iterator[Array]:
-    """The line (N, 2) in equal pieces, divided at sharp turns, without doubled corners."""
     step = np.linalg.norm(np.diff(line_m, axis=0), axis=1)
     line_m = line_m[np.concatenate(([True], step > 0.0))]
     if len(line_m) < 2:

@@ -173,7 +173,6 @@ def _received(t_s: Seconds, outages_s: tuple[Interval, ...]) -> NDArray[np.bool_
 
 
 def _arrivals(t_ns: Stamps, delay_s: Delay, epoch_ns: int, duration_s: float, rng: np.random.Generator) -> Stamps:
-    """Arrival stamps; what is late at the end arrives with the last IMU sample."""
     delay_ns = np.rint(rng.uniform(*between(delay_s), len(t_ns)) * 1e9).astype(np.int64)
     arrived_ns: Stamps = np.minimum(t_ns + delay_ns, epoch_ns + round(duration_s * 1e9))
     return arrived_ns

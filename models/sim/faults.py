@@ -89,7 +89,7 @@ class Jam(Fault, frozen=True, tag="jam"):
 
 
 class SpoofJump(Fault, frozen=True, tag="spoof_jump"):
-    """GNSS positions are displaced at once by a constant offset; velocity stays true."""
+    """GNSS positions jump by a constant offset; velocity stays true."""
 
     offset_n_m: Vec3 = (100.0, 0.0, 0.0)
 
@@ -186,7 +186,7 @@ class NotFinite(Fault, frozen=True, tag="not_finite"):
 
 
 class ZeroCovariance(Fault, frozen=True, tag="zero_covariance"):
-    """The reported covariance is zero: what a driver sends that never filled it in."""
+    """The reported covariance is zero, as of a careless driver."""
 
     topics: tuple[str, ...] = (GNSS, VELOCITY, POSE_FIX)
 
@@ -201,7 +201,7 @@ class ZeroCovariance(Fault, frozen=True, tag="zero_covariance"):
 
 
 class ClockStep(Fault, frozen=True, tag="clock_step"):
-    """The clock that stamps these topics jumps; the clock of arrival never does."""
+    """The stamping clock jumps; arrivals do not."""
 
     topics: tuple[str, ...] = (POSE_FIX,)
     step_s: float = 1.0

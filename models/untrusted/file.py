@@ -10,12 +10,12 @@ from models.untrusted.limits import FILE_BYTES, PIPE_BYTES
 
 
 def opened(path: Path) -> BufferedReader:
-    """To be read. A pipe at whose other end nobody writes is empty: it is not waited for. Raises OSError."""
+    """Open for reading; a pipe without writer is empty. Raises OSError."""
     return open(path, "rb", opener=_opener)
 
 
 def content(path: Path, most: int = FILE_BYTES) -> bytes:
-    """All of it, at most so many bytes; of a pipe or a device, which does not say how many it has, PIPE_BYTES. Raises OSError."""
+    """Content, at most `most` bytes, of a pipe or device PIPE_BYTES. Raises OSError."""
     with opened(path) as file:
         about = os.fstat(file.fileno())
         regular = stat.S_ISREG(about.st_mode)

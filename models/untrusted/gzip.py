@@ -12,9 +12,7 @@ _STEP: Final = 64 * 1024  # bytes
 
 
 class GzipFile(io.RawIOBase):
-    """The content of all members; torn: the end is missing or damaged. Raises ValueError (no gzip file), TooLargeError,
-    OSError.
-    """
+    """Content of all members; torn: end missing or damaged. Raises ValueError, TooLargeError, OSError."""
 
     def __init__(self, path: Path) -> None:
         self._file = opened(path)

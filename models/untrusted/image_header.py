@@ -17,7 +17,7 @@ Bytes: TypeAlias = bytes | memoryview | mmap.mmap
 
 
 class ImageHeader(NamedTuple):
-    """What it declares; bytes_a_pixel: of the array it is decoded into, at least."""
+    """Declared size; bytes_a_pixel: decoded, at least."""
 
     width: int
     height: int
@@ -39,7 +39,7 @@ _TIFF_SIZES: Final = {3: "H", 4: "I", 16: "Q"}
 
 
 def image_header(data: Bytes) -> ImageHeader | None:
-    """The header of a file by its first bytes; None: no image of these formats, or torn."""
+    """Header of a file by its first bytes; None: unknown format, or torn."""
     for magic, read in _FORMATS.items():
         if data[: len(magic)] == magic:
             try:
@@ -60,7 +60,7 @@ def image_header_of_file(path: Path) -> ImageHeader | None:
 
 
 def too_large(header: ImageHeader, size: int, most_pixels: int) -> str:
-    """Why an image in a file of `size` bytes is not decoded; empty where it may be."""
+    """Why an image in `size` bytes is not decoded; empty if it may be."""
     declared = f"declares {header.width} x {header.height} pixels"
     if header.pixels > most_pixels:
         return f"{declared}, {most_pixels} are read at most"

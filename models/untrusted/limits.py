@@ -30,7 +30,7 @@ def allowed(read_bytes: int, ratio: int = BINARY_RATIO) -> int:
 
 
 def check(declared: int, packed: int, most: int, what: str = "a chunk") -> None:
-    """Raises TooLargeError where a piece of `packed` bytes declares more content than `most`, or PIECE_BYTES."""
+    """Raises TooLargeError where `packed` bytes declare more than `most` or PIECE_BYTES."""
     most = min(most, PIECE_BYTES)
     if declared > most:
         raise TooLargeError(

@@ -15,7 +15,7 @@ _DEEP_KEY: Final = re.compile(
 
 
 def decode(data: bytes) -> str:
-    """The text of a file, of which MOST_BYTES + 1 bytes are enough to be given. Raises ValueError."""
+    """Text of a file's first MOST_BYTES + 1 bytes. Raises ValueError."""
     if len(data) > MOST_BYTES:
         raise ValueError(f"is larger than {MOST_BYTES:_} bytes")
     try:
@@ -39,6 +39,6 @@ def table(text: str) -> dict[str, Any]:
 
 
 def one_line(text: str, most: int = 300) -> str:
-    """A message in which the input itself may stand, on one line of readable length."""
+    """A message on one line of readable length."""
     words = " ".join("".join(c if c.isprintable() else " " for c in text).split())
     return words if len(words) <= most else f"{words[: most - 3]}..."
