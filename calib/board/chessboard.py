@@ -180,7 +180,6 @@ def _turned(grey_image: Grey, px: Array, board: Board) -> bool:
 
 
 def _edge_width(grey_image: Grey, px: Array, board: Board) -> float:
-    """Pixels of the edges from 10 to 90 %; 0 where squares are too small."""
     corners = px.astype(np.float32).reshape(-1, 1, 2)
     width = float(np.ravel(cv2.estimateChessboardSharpness(grey_image, board.size, corners)[0])[0])
     return width if width < _UNKNOWN_PX else 0.0

@@ -89,7 +89,6 @@ def _saddle(image: Level, px: Array) -> Array:
 
 
 def _windows(image: Grey, px: Array, half_px: Array) -> NDArray[np.int64]:
-    """Half windows (N,) [px] near half_px, within corner and image."""
     height, width = image.shape
     to_border = np.minimum(px, np.array([width - 1.0, height - 1.0]) - px).min(axis=1)
     return np.asarray(np.maximum(np.minimum(np.clip(half_px, *_WINDOW_PX), to_border - 2.0), _LEAST_PX), dtype=np.int64)

@@ -40,13 +40,13 @@ class BoardPoses:
         )  # fmt: skip
 
     def shifted(self, lens: Array) -> "BoardPoses":
-        """As they would have been measured with the lens' parameters off by `lens`."""
+        """The poses with the lens' parameters off by `lens`."""
         moved = [Pose(R, t).moved(d) for R, t, d in zip(self.R_co, self.t_co, self.by_lens @ lens, strict=True)]
         return replace(self, R_co=np.array([p.R for p in moved]), t_co=np.array([p.t for p in moved]))
 
 
 def read_from_one_end(views: Sequence[View], board: Board) -> list[View]:
-    """Views in order of time, an ambiguous board read from the same end throughout."""
+    """Views by time, an ambiguous board read from one end throughout."""
     if not board.ends_alike:
         return list(views)
     same = [views[0]]

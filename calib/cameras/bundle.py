@@ -118,7 +118,7 @@ class Solution:
 
 
 def adjust(problem: Problem) -> Solution:
-    """The least squares solution by Levenberg-Marquardt from the problem's own values. Raises CalibrationError."""
+    """Levenberg-Marquardt from the problem's values. Raises CalibrationError."""
     mask, damping = problem.mask, 1e-3
     terms = [_terms(problem, i, mask) for i in range(len(problem.views))]
     cost = sum(float(t.r @ t.r) for t in terms)

@@ -1,4 +1,4 @@
-"""Photogrammetric calibration: the camera matrix A from points known in space, and its parts (thesis 3.5, 3.6).
+"""Camera matrix A from points known in space (thesis 3.5, 3.6).
 
     u (a41 X + a42 Y + a43 Z + a44) = a11 X + a12 Y + a13 Z + a14,   v (...) = a21 X + ... + a24       (thesis eq. 3.36-3.46)
     D F = R,   F = (D^T D)^-1 D^T R   with a44 = 1                                                      (eq. 3.49-3.51)
@@ -60,7 +60,7 @@ def project(A: Array, x_o: Array) -> Array:
 
 
 def decompose(A: Array) -> Decomposition:
-    """Intrinsics, location and orientation. Points are taken to be in front of the camera."""
+    """Intrinsics, location, orientation; points are in front of the camera."""
     K, R = rq(A[:, :3])
     signs = np.diag(np.sign(np.diagonal(K)))
     K, R = K @ signs, signs @ R

@@ -11,7 +11,7 @@ from models.messages import Array
 
 
 def first_camera(x_o: list[Array], px: list[Array], size: tuple[int, int]) -> tuple[CameraModel, list[Pose]]:
-    """Equidistant calibration by OpenCV, as a rational camera, and the board's poses. Raises CalibrationError."""
+    """OpenCV's equidistant calibration as a rational camera, and board poses. Raises CalibrationError."""
     objects, images = [x.reshape(1, -1, 3) for x in x_o], [p.reshape(1, -1, 2) for p in px]
     # Two coefficients to begin with: four bend back beyond the outermost corner.
     flags = cv2.CALIB_RECOMPUTE_EXTRINSIC | cv2.CALIB_FIX_SKEW | cv2.CALIB_FIX_K3 | cv2.CALIB_FIX_K4

@@ -64,7 +64,6 @@ def coverage(views: Sequence[View]) -> NDArray[np.int64]:
 
 
 def _outlines(views: Sequence[View], board: Board) -> Array:
-    """Four end corners per view (V, 8), in image diagonals; hidden ones by homography."""
     ends = board.points[[0, board.columns - 1, -board.columns, -1], :2]
     out = np.empty((len(views), 8))
     for k, v in enumerate(views):

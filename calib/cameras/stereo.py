@@ -162,7 +162,6 @@ def _rig(solution: Solution) -> StereoRig:
 
 
 def _check_sides(rig: StereoRig) -> None:
-    """The right camera is to the right, within 45 degrees of the rows."""
     x, y, z = -rig.R_rc.T @ rig.t_rc
     if x * x < y * y + z * z:
         raise CalibrationError(

@@ -75,7 +75,7 @@ def load_cameras(path: str | Path, mount: BodyPose | None = None) -> StereoRig:
 
 
 def load_camera(path: str | Path, side: str = "left") -> CameraModel:
-    """One camera; of a rig the one on the given side. Raises CalibrationError."""
+    """One camera; of a rig that of `side`. Raises CalibrationError."""
     path = Path(path)
     text = _read(path)
     try:

@@ -1,8 +1,7 @@
 """OpenCV FileStorage, XML or YAML, OpenCV's names plus our covariances.
 
-Camera: image_width, image_height, camera_matrix, distortion_coefficients, [covariance]. Rig: image_width, image_height, M1, D1,
-M2, D2, R, T (x_r = R @ x_c + T, metres), [covariance_M1, covariance_M2, covariance_RT, R_body, T_body, covariance_body,
-time_offset_s].
+Camera: camera_matrix, distortion_coefficients, [covariance]. Rig: M1, D1, M2, D2, R, T (x_r = R @ x_c + T, metres),
+[covariance_M1, covariance_M2, covariance_RT, R_body, T_body, covariance_body, time_offset_s]; both: image_width, image_height.
 """
 
 import re
@@ -25,7 +24,7 @@ _COUNTS = (0, 4, 5, 8)  # distortion coefficients that CameraModel takes
 
 
 def read_camera(text: str, where: str, side: str = "left") -> CameraModel | None:
-    """The camera in a FileStorage text; None where it holds a rig. Raises CalibrationError."""
+    """The camera of a FileStorage text; None for a rig. Raises CalibrationError."""
     storage = _open(text, where)
     if not storage.getNode("camera_matrix").empty():
         return _camera(storage, "camera_matrix", "distortion_coefficients", "covariance", where)

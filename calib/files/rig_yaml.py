@@ -119,7 +119,7 @@ def camera_text(camera: CameraModel) -> str:
 
 
 def mounted_text(rig: StereoRig) -> str:
-    """The one camera of a rig and where it sits on the body, as a file."""
+    """A rig's one camera with its mount, as a file."""
     where = f"body_from_camera:  # x_b = rotation @ x_c + translation_m\n{_pose(rig.R_bc, rig.p_bc, rig.covariance_bc)}"
     return f"{camera_text(rig.left)}# Metres, radians; c = camera (right, down, forward), b = body (FRD at the IMU).\n{where}"
 

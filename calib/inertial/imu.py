@@ -45,12 +45,12 @@ class Static:
 
     @property
     def longest_tau_s(self) -> float:
-        """Averaging time up to which the noise is known; slower changes were not seen."""
+        """Longest averaging time with known noise."""
         return float(min(n.tau_s[-1] for n in (*self.gyro, *self.accel)))
 
     @property
     def white_from_s(self) -> float:
-        """Averaging time from which on all axes are white; nan where one never is."""
+        """Averaging time from which on all axes are white, or nan."""
         return float(np.max([n.white_from_s for n in (*self.gyro, *self.accel)]))
 
 
@@ -89,7 +89,7 @@ def rests(t_ns: NDArray[np.int64], gyro: Array, accel: Array) -> list[slice]:
 
 
 def static_noise(t_ns: NDArray[np.int64], gyro: Array, accel: Array) -> Static:
-    """Noise in the longest rest. Raises CalibrationError where there is none of two seconds."""
+    """Noise in the longest rest. Raises CalibrationError below two seconds."""
     check(t_ns, gyro, accel)
     found = rests(t_ns, gyro, accel)
     lengths = [1e-9 * float(t_ns[r.stop - 1] - t_ns[r.start]) for r in found]

@@ -20,7 +20,7 @@ _LATTICE = np.array([((k + 0.5) / 55.0 - 0.5, (34 * k % 55 + 0.5) / 55.0 - 0.5) 
 
 
 class Painter:
-    """Renders a board for one camera; the camera's rays are worked out once."""
+    """Renders a board for one camera with precomputed rays."""
 
     def __init__(self, camera: CameraModel, board: Board) -> None:
         self.camera, self.board = camera, board
@@ -78,5 +78,5 @@ def seen(camera: CameraModel, pose: Pose, board: Board, rng: np.random.Generator
 
 
 def both(rig: StereoRig) -> list[tuple[CameraModel, Pose]]:
-    """The cameras of a rig and where each sees the left camera's points."""
+    """The rig's cameras, and poses of the left camera in each."""
     return [(rig.left, Pose(np.eye(3), np.zeros(3))), (rig.right, Pose(rig.R_rc, rig.t_rc))]
