@@ -130,9 +130,9 @@ class _Sheaf:
 
 
 class Collector:
-    """Takes the messages of a log, one after the other, and keeps those that an evaluation reads.
+    """Keeps those messages of a log that an evaluation reads.
 
-    truth_topic: of the reference; most: estimates and truths kept, evenly.
+    truth_topic: reference; most: estimates and truths kept.
     """
 
     def __init__(self, truth_topic: str = TRUTH_TOPIC, most: int | None = None) -> None:
@@ -158,7 +158,7 @@ class Collector:
         *,
         torn: bool = False,
     ) -> Collected:
-        """All of it; path and the rest: of the log. Raises LogError as read does."""
+        """The result; path and the rest: of the log. Raises LogError."""
         sheaves = self._sheaves
         aids = _aids(self._of(_AID_TOPIC))
         if ODOMETRY_TOPIC not in sheaves:
@@ -254,7 +254,6 @@ def _positions(sheaf: _Sheaf, origin: Origin | None) -> Trajectory | None:
 
 
 def _origin(estimate: Trajectory, sheaf: _Sheaf) -> Origin | None:
-    """Origin of map, iterated, from an estimate in map and as latitude and longitude."""
     for _, fix in sheaf.messages():
         row = int(np.searchsorted(estimate.t_ns, _t_ns(fix)))
         if row < len(estimate) and estimate.t_ns[row] == _t_ns(fix) and np.isfinite(estimate.p[row]).all():

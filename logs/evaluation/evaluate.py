@@ -4,7 +4,7 @@
     logs.evaluation.table.print_table(evaluation)         # for a person
     msgspec.json.encode(evaluation)                       # for a program
 
-The estimate is interpolated at the truth's stamps; stamps that it does not cover are left out and counted.
+The estimate is interpolated at the truth's stamps.
 """
 
 from collections import Counter
@@ -153,7 +153,6 @@ def outages_between(
 
 
 def _from_ages(health: Iterable[HealthPoint]) -> list[tuple[int, int]]:
-    """Validity and arrival of absolute fixes by their rounded age in Health."""
     points: list[tuple[int, int]] = []
     for h in health:
         if np.isfinite(h.absolute_age_s):
@@ -359,7 +358,6 @@ def _aid_summaries(aids: tuple[AidStatus, ...]) -> tuple[AidSummary, ...]:
 
 
 def _aid_summary(topic: str, kind: str, group: list[AidStatus]) -> AidSummary:
-    """NIS of fused measurements only."""
     fused = [a for a in group if a.reason is Reason.FUSED and a.innovation]
     squares, dof = 0.0, 0
     for size in {len(a.innovation) for a in fused}:

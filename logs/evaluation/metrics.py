@@ -223,7 +223,7 @@ def consistency(values: Array, dof: int, n_effective: float | None = None) -> Co
 
         n_eff * mean(NEES) ~ chi2(n_eff * dof)                               (Bar-Shalom et al. 2001, eq. 5.4.2-8)
 
-    n_effective: None takes effective_samples(values), a guide for one flight (86 to 95 of 100 consistent ones are in the band).
+    n_effective: None: effective_samples(values), approximate for one flight.
     """
     n = len(values)
     if not n:

@@ -197,7 +197,6 @@ def _line(axes: Axes, x: Array, y: Array, color: str, label: str, **style: Any) 
 
 
 def _broken_at_holes(t: Array, y: Array) -> tuple[Array, Array]:
-    """The line with nan at time gaps (20 usual steps and 0.5 s)."""
     if len(t) < 2:
         return t, y
     step = np.diff(t)

@@ -37,7 +37,6 @@ def print_table(evaluation: Evaluation, console: Console | None = None) -> None:
 
 
 def _narrow(table: Rows) -> Rows:
-    """Measurements for 80 columns, refusals below their source."""
     title, (source, kind, *numbers), rows = table
     fused, _, *others = numbers
     return title, (f"{source}, {kind}", fused, *others), [

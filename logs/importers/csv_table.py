@@ -161,7 +161,6 @@ def _check_digits(file: str, t_ns: Times) -> None:
 
 
 def _over_midnight(t_ns: Times) -> tuple[Times, int]:
-    """Stamps continued where they fall by a day; how often."""
     falls = np.abs(np.diff(t_ns) + _DAY_NS) < _MINUTE_NS
     return t_ns + _DAY_NS * np.concatenate([[0], np.cumsum(falls)]), int(np.count_nonzero(falls))
 

@@ -232,7 +232,6 @@ def _receiver_time_us(table: Mapping[str, Array]) -> Array:
 
 
 def _delay_s(parameters: Mapping[str, float], gnss: Stream) -> float:
-    """Fix age by the autopilot less what t_ns contains."""
     delay_ms = next((parameters[name] for name in _DELAYS if parameters.get(name, 0.0) > 0.0), _USUAL_DELAY_MS)
     already_ms = float(np.median(gnss.arrived_ns - gnss.t_ns)) * 1e-6
     return max(0.0, delay_ms - already_ms) * 1e-3
@@ -250,7 +249,6 @@ def _sensors(tables: Tables, timebase_us: int) -> list[Stream]:
 
 
 def _range(tables: Tables, timebase_us: int) -> list[Stream]:
-    """Downward range finder; other status than good: no echo."""
     table = tables.get("RFND")
     if table is None:
         return []
@@ -273,7 +271,6 @@ def _odometry(tables: Tables, timebase_us: int, notes: list[str]) -> list[Stream
 
 
 def _camera(tables: Tables, timebase_us: int) -> list[Stream]:
-    """Camera steps; confidence 0: none."""
     table = tables.get("VISO")
     if table is None:
         return []
@@ -311,7 +308,6 @@ def _wheels(tables: Tables, timebase_us: int) -> list[Stream]:
 
 
 def _simulated(tables: Tables, timebase_us: int) -> tuple[Stream, Vec3] | None:
-    """Truth and origin of a simulation, nearest velocities."""
     table, fast = tables.get("SIM"), tables.get("SIM2")
     if table is None:
         return None

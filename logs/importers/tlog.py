@@ -168,7 +168,6 @@ def _messages(source: Path, progress: Progress | None) -> tuple[dict[str, Array]
 
 
 def _values(message: Any) -> list[float]:
-    """_FIELDS; 0 if missing in this dialect."""
     match message.get_type():
         case "WHEEL_DISTANCE":
             return [message.count, *message.distance]
@@ -181,7 +180,6 @@ def _values(message: Any) -> list[float]:
 
 
 def _of(component: int, rows: Mapping[int, list[list[float]]]) -> list[list[float]]:
-    """The autopilot's rows, else of the busiest component."""
     return rows[component] if component in rows else max(rows.values(), key=len)
 
 
@@ -326,7 +324,6 @@ def _airspeed(tables: Mapping[str, _Table]) -> list[Stream]:
 
 
 def _range(tables: Mapping[str, _Table]) -> list[Stream]:
-    """Downward range finder, cm; out of limits: no echo."""
     table = tables.get("DISTANCE_SENSOR")
     if table is None or not len(rows := np.flatnonzero(table["orientation"] == mavlink.MAV_SENSOR_ROTATION_PITCH_270)):
         return []
@@ -348,7 +345,6 @@ def _field(tables: Mapping[str, _Table], autopilot: int) -> list[Stream]:
 
 
 def _heading(tables: Mapping[str, _Table]) -> list[Stream]:
-    """Two-antenna heading, centidegrees; 0: none, 65535: not now."""
     for table in (tables[name] for name in _RECEIVERS if name in tables):
         rows = np.flatnonzero((table["yaw"] != 0.0) & (table["yaw"] != _UNKNOWN))
         if len(rows):
@@ -384,7 +380,6 @@ def _odometry(tables: Mapping[str, _Table], notes: list[str]) -> list[Stream]:
 
 
 def _camera(tables: Mapping[str, _Table]) -> list[Stream]:
-    """Camera steps; confidence 0: none."""
     table = tables.get("VISION_POSITION_DELTA")
     if table is None:
         return []
@@ -394,7 +389,6 @@ def _camera(tables: Mapping[str, _Table]) -> list[Stream]:
 
 
 def _flow(tables: Mapping[str, _Table], imu: Stream, notes: list[str]) -> list[Stream]:
-    """Over the message's range; quality 0: none."""
     table = tables.get("OPTICAL_FLOW_RAD")
     if table is None:
         return []

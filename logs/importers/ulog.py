@@ -145,7 +145,6 @@ def _clock(receiver: Topic | None, notes: list[str]) -> int:
 
 
 def _odometry(topics: Mapping[str, Topic], clock_us: int, notes: list[str]) -> list[Stream]:
-    """Camera poses, NED or FRD: only differences count."""
     topic = topics.get("vehicle_visual_odometry", topics.get("vehicle_mocap_odometry"))
     names = [f"{field}[{k}]" for field, size in (("position", 3), ("q", 4)) for k in range(size)]
     names = names if topic is None or names[0] in topic else ["x", "y", "z", *names[3:]]
@@ -161,7 +160,6 @@ def _odometry(topics: Mapping[str, Topic], clock_us: int, notes: list[str]) -> l
 
 
 def _flow(topics: Mapping[str, Topic], clock_us: int, streams: Sequence[Stream], notes: list[str]) -> list[Stream]:
-    """Flow and turn over a time, rad; nan: no own gyroscope or range."""
     topic = topics.get("vehicle_optical_flow")
     if topic is None or any(name not in topic for name in _FLOW):
         return []
@@ -173,7 +171,6 @@ def _flow(topics: Mapping[str, Topic], clock_us: int, streams: Sequence[Stream],
 
 
 def _times(topic: Topic, clock_us: int) -> tuple[Times, Times]:
-    """t_ns, arrived_ns: of the sample if given, and its publication."""
     published = np.minimum(topic["timestamp"], _FAR_US).astype(np.int64)
     sampled = np.minimum(topic["timestamp_sample"], _FAR_US).astype(np.int64) if "timestamp_sample" in topic else published
     sampled = np.where(sampled > 0, sampled, published)
@@ -205,7 +202,6 @@ def _imu(source: Path, topics: Mapping[str, Topic], clock_us: int, notes: list[s
 
 
 def _other_imus(data: Sequence[Any], clock_us: int, notes: list[str]) -> list[Stream]:
-    """Other IMUs: increments over dt, valid at its middle."""
     chosen = [d.data["gyro_device_id"][0] for d in data if d.name == "sensor_selection" and "gyro_device_id" in d.data]
     if not chosen:
         return []

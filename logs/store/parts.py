@@ -107,7 +107,6 @@ def flight_of(name: str) -> str:
 
 
 def _without_copies(files: Sequence[Path]) -> list[Path]:
-    """Of a damaged part and its recovered copy the first only."""
     return [f for f in files if not (f.stem.endswith(_RECOVERED) and f.with_stem(f.stem.removesuffix(_RECOVERED)) in files)]
 
 

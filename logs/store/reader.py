@@ -16,7 +16,7 @@ __all__ = ["Attachment", "LogError", "LogReader", "Record", "check_output"]
 
 
 class Record(msgspec.Struct, frozen=True, eq=False, gc=False):
-    """One logged message: schema is its type's name, log_time_ns the time it arrived."""
+    """One message: schema: type name, log_time_ns: arrival."""
 
     topic: str
     schema: str
@@ -96,7 +96,6 @@ class LogReader:
         return self._schemas
 
     def _names(self, channel_id: int) -> tuple[str, str, bytes] | None:
-        """Topic, type, completion of older versions; None: not CDR."""
         channel = self._file.channels[channel_id]
         schema = self._file.schemas.get(channel.schema_id)
         if channel.message_encoding != "cdr" or schema is None:

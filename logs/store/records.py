@@ -66,7 +66,7 @@ def _what(start: bytes, path: Path) -> str:
 
 
 class LogError(Exception):
-    """A log cannot be opened, read or written; the message is one line for the user."""
+    """A log cannot be opened, read or written; one line."""
 
 
 class RecordFile:
@@ -105,7 +105,6 @@ class RecordFile:
         return self._file.tell() / self.size
 
     def __iter__(self) -> Iterator[RawMessage]:
-        """Messages of whole records. Raises LogError for none and too large a chunk."""
         self._reset()
         count = 0
         for opcode, content, start in self._frames():
@@ -138,7 +137,6 @@ class RecordFile:
         self._records = 0
 
     def _frames(self) -> Iterator[tuple[int, bytes, int]]:
-        """(opcode, content, position) up to the footer, across damage."""
         start = len(MAGIC)
         while True:
             self._file.seek(start)
@@ -161,7 +159,6 @@ class RecordFile:
             start = end
 
     def _next_chunk(self, start: int) -> int | None:
-        """Next possible compressed chunk; None: none, or too many tries."""
         if self._in_vain > _VAIN_RATIO * self.size:
             return None
         with mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ) as view:

@@ -180,7 +180,6 @@ def _aid_status(status: AidStatus) -> dict[str, Any]:
 
 
 def _diagnostic(health: Health) -> Any:
-    """Fields as keys and values, nested as "sources /imu" or "last_gnss age_s"."""
     values: list[Any] = []
     for field, value in msgspec.structs.asdict(health).items():
         if field in {"t_ns", "arrived_ns"}:
