@@ -1,4 +1,4 @@
-"""Position from maps that hold an image: `python -m benchmarks.aerial.registration [nust] [brighton] [rendered]`.
+"""Position from maps that hold an image: `python -m benchmarks.aerial.registration [nust] [brighton] [rendered] [oblique]`.
 
 Registration and features (SIFT and FLANN), with what a fix takes and with the usual ten inliers, the peak of the search with
 its checks and without any (plain Sobel and normalised correlation, which always answers), and all as in flight, on the same
@@ -22,12 +22,13 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from benchmarks.aerial.registration_sets import Flight, Shot, flights
+from benchmarks.aerial.registration_sets import Flight, Shot, flights, learned_models
 from benchmarks.flights.tasks import data_folder
 from benchmarks.tables import Table, number
 from models.maps.landmarks import LandmarkMap
 from models.messages import Array
 from vision.ground.features import FeatureConfig, FeatureMap, Recognised, recognise
+from vision.ground.learned import Learned, recognise_learned
 from vision.ground.peak import PeakConfig, fit_peak
 from vision.ground.registration import register
 from vision.pose.pose import PoseEstimate
@@ -35,8 +36,10 @@ from vision.recognisers import Recognisers
 from vision.records.reports import pose_flaw
 
 OUT = Path(__file__).resolve().parents[2] / "out" / "registration"
-SETS = ("nust", "brighton", "rendered")
-Way = Literal["as in flight", "registration", "features", "peak", "features, 10 inliers", "Sobel + correlation"]
+SETS = ("nust", "brighton", "rendered", "oblique")
+Way = Literal[
+    "as in flight", "with learned", "learned", "registration", "features", "peak", "features, 10 inliers", "Sobel + correlation"
+]
 WAYS: tuple[Way, ...] = get_args(Way)
 _LOOSE = FeatureConfig(least=10, least_share=0.0, least_spread=0.0)
 _ANY_PEAK = PeakConfig(ratio=1.0, correlation=0.0, deviations=0.0)
@@ -74,7 +77,8 @@ def main() -> None:
     cv2.setNumThreads(1)
     OUT.mkdir(parents=True, exist_ok=True)
     every = [f for name in sets for f in flights(name, data, args.seed, OUT / "maps") if args.only in f.group]
-    outcomes = [outcome for flight in track(every, console=Console(stderr=True)) for outcome in fly(flight)]
+    ways = [way for way in WAYS if way in (args.by or WAYS)]
+    outcomes = [outcome for flight in track(every, console=Console(stderr=True)) for outcome in fly(flight, ways)]
     report = f"{table(outcomes).markdown()}\n{decoys(outcomes).markdown()}"
     name = "_".join((*sets, *args.only.split()))
     (OUT / f"outcomes_{name}_{args.seed}.json").write_bytes(msgspec.json.encode(outcomes))
@@ -89,32 +93,44 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("sets", nargs="*", choices=[[], *SETS], help="all by default")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="", help="flights whose name contains this")
+    parser.add_argument("--by", action="append", choices=WAYS, help="repeat for more; all by default")
     return parser.parse_args()
 
 
 def fly(flight: Flight, ways: Sequence[Way] = WAYS) -> Iterator[Outcome]:
     """Every image of a flight, in order, as registration may wait for the next one."""
     nothing = FeatureMap(flight.known.image, np.empty((0, 3)), np.empty((0, 128), np.float32))
+    models = learned_models(data_folder()) if {"with learned", "learned"} & set(ways) else None
     for way in ways:
+        if models is None and way in {"with learned", "learned"}:
+            continue
         known = replace(flight.known, features=nothing) if way == "registration" else flight.known
+        if way == "with learned":
+            known = replace(known, learned=models)
         recognisers = Recognisers(flight.rig, _NOWHERE, known)
         for shot in flight.shots():
             begin = time.process_time()
-            if way in {"as in flight", "registration"}:
+            if way in {"as in flight", "with learned", "registration"}:
                 result = recognisers.process(shot.image, None, shot.t_ns, shot.prior)
                 pose, outcome, detail = result.pose, result.report.outcome, result.report.detail
-            elif way in {"peak", "Sobel + correlation"}:
-                pose, outcome, detail = _peak(flight, shot, PeakConfig() if way == "peak" else _ANY_PEAK)
             else:
-                pose, outcome, detail = _features(flight, shot, FeatureConfig() if way == "features" else _LOOSE)
+                pose, outcome, detail = _alone(way, models, flight, shot)
             cpu_s = time.process_time() - begin
             off = float(np.linalg.norm((shot.prior.p_n - shot.p_n)[:2]))
             what = flight.group, way, flight.decoy, outcome, detail, off, cpu_s
             yield Outcome(*what) if pose is None else Outcome(*what, True, *_judge(flight, shot, pose))
 
 
-def _features(flight: Flight, shot: Shot, config: FeatureConfig) -> tuple[PoseEstimate | None, str, str]:
-    found = recognise(flight.rig, shot.image, shot.prior, flight.known.features, config)
+def _alone(way: Way, models: Learned | None, flight: Flight, shot: Shot) -> tuple[PoseEstimate | None, str, str]:
+    """What one recogniser finds."""
+    if way in {"peak", "Sobel + correlation"}:
+        return _peak(flight, shot, PeakConfig() if way == "peak" else _ANY_PEAK)
+    if way == "learned":
+        assert models is not None
+        found = recognise_learned(models, flight.rig, shot.image, shot.prior, flight.known.image)
+    else:
+        config = FeatureConfig() if way == "features" else _LOOSE
+        found = recognise(flight.rig, shot.image, shot.prior, flight.known.features, config)
     if not isinstance(found, Recognised):
         return None, found.reason, found.detail
     if flaw := pose_flaw(found.pose, shot.prior):
