@@ -30,7 +30,7 @@ from estimator.sources.imu.choice import Choice, imu_aid
 from estimator.sources.imu.plausibility import sample_refusal
 from estimator.sources.rest import EVERY_NS as REST_EVERY_NS
 from estimator.sources.rest import rest_aid
-from models import so3, state
+from models import imu, so3, state
 from models.frames import Origin
 from models.messages import (
     AidStatus,
@@ -395,9 +395,9 @@ class Fusion:
         """
         doubt = lead.variance_factor * lead.cov if is_aligned else published
         samples = self._history.samples
-        old = Eskf(last.t_ns, last.nav.copy(), last.covariance.copy(), lead.constants)
-        old.propagate(samples, samples.first_after(last.t_ns), t_ns)
-        delta = state.local(old.x, lead.x)
+        first = samples.first_after(last.t_ns)
+        went_to = imu.moved(last.nav, samples.t_ns, samples.u, samples.count, first, last.t_ns, t_ns, lead.constants)
+        delta = state.local(went_to, lead.x)
         return delta if state.has_moved(delta, doubt, _RESET_SIGMA) else None
 
     def _clock_stepped(self, sample: ImuSample, refusal: Refusal) -> list[Output]:

@@ -480,12 +480,16 @@ def advance(
     return sound(x, cov)
 
 
-@njit(cache=True, error_model="numpy")
 def interpolate(t_ns: NDArray[np.int64], u: Array, count: int, i: int, at_ns: int) -> Array:
     """The IMU sample (6,) at `at_ns`, linear between samples i-1 and i (i: first sample with t_ns[i] > at_ns)."""
-    out = np.empty(6)
     before, after = max(i - 1, 0), min(i, count - 1)
-    s = 0.0 if before == after else (at_ns - t_ns[before]) / (t_ns[after] - t_ns[before])
-    for k in range(6):
-        out[k] = u[before, k] + s * (u[after, k] - u[before, k])
-    return out
+    share = 0.0 if before == after else (at_ns - int(t_ns[before])) / int(t_ns[after] - t_ns[before])
+    between: Array = u[before] + share * (u[after] - u[before])
+    return between
+
+
+def moved(x: Array, t_ns: NDArray[np.int64], u: Array, count: int, i: int, from_ns: int, to_ns: int, c: Array) -> Array:
+    """The nominal state (16,) at `to_ns`, from x at `from_ns`, which is not changed: propagate without a covariance."""
+    after = x.copy()
+    advance(after, _NOTHING, _NOTHING, t_ns, u, _NOTHING, count, i, from_ns, to_ns, c, _NONE, _NONE)
+    return after

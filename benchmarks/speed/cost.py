@@ -33,16 +33,18 @@ QUIET_AFTER, FEWEST = 3, 15
 
 
 class Scene(msgspec.Struct, frozen=True):
-    """Rates in Hz, 0: none."""
+    """Rates in Hz, 0: none; late_s: fixes arrive so long after their time of validity."""
 
     fixes_hz: float = 2.0
     gnss_hz: float = 0.0
     history_s: float = 6.0
     imus: int = 1
+    late_s: float = 0.0
 
 
 SCENES = {
     "fixes 2 Hz": Scene(),
+    "fixes 2 Hz, 0.3 s late": Scene(late_s=0.3),
     "fixes 10 Hz": Scene(10.0),
     "fixes 30 Hz": Scene(30.0),
     "fixes 2 Hz, GNSS 1 Hz": Scene(gnss_hz=1.0),
@@ -57,14 +59,14 @@ SCENES = {
 
 
 def messages(scene: Scene) -> list[Input]:
-    """The flight in order of arrival, everything punctual."""
+    """The flight in order of arrival; all but the fixes is punctual."""
     rng = np.random.default_rng(0)
     found: list[Input] = []
     for k in range(scene.imus):
         found += _imu(rng, "/imu" if k == 0 else f"/imu{k}", k * STEP_NS // 4)
     for t_ns in _stamps(scene.fixes_hz, STEP_NS // 3):
         p, yaw = _pose(t_ns)
-        found.append(_fix(t_ns, p + 0.15 * rng.standard_normal(3), yaw))
+        found.append(_fix(t_ns, p + 0.15 * rng.standard_normal(3), yaw, round(scene.late_s * 1e9)))
     for t_ns in _stamps(scene.gnss_hz, STEP_NS // 2):
         p, yaw = _pose(t_ns)
         found.append(_gnss(t_ns, p + 0.5 * rng.standard_normal(3)))
@@ -97,9 +99,10 @@ def _imu(rng: np.random.Generator, topic: str, after_ns: int) -> list[ImuSample]
     return [ImuSample(t, t, _vec3(w), _vec3(f), topic) for t, w, f in zip(stamps, gyro, accel, strict=True)]
 
 
-def _fix(t_ns: int, p: Array, yaw: float) -> PoseFix:
+def _fix(t_ns: int, p: Array, yaw: float, late_ns: int) -> PoseFix:
     covariance = np.diag([0.15**2] * 3 + [math.radians(1.0) ** 2] * 3)
-    return PoseFix(BEGIN_NS + t_ns, BEGIN_NS + t_ns, _vec3(p), (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)), covariance)
+    q = (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
+    return PoseFix(BEGIN_NS + t_ns, BEGIN_NS + t_ns + late_ns, _vec3(p), q, covariance)
 
 
 def _gnss(t_ns: int, p: Array) -> GnssFix:

@@ -193,9 +193,7 @@ def _extended(stretch: Stretch, found: Eskf, samples: ImuBuffer) -> list[Array]:
 
 
 def _moved(t_ns: int, x: Array, to_ns: int, samples: ImuBuffer, constants: Array) -> Array:
-    moved = Eskf(t_ns, x.copy(), np.eye(E.SIZE), constants)
-    moved.propagate(samples, samples.first_after(t_ns), to_ns)
-    return moved.x
+    return imu.moved(x, samples.t_ns, samples.u, samples.count, samples.first_after(t_ns), t_ns, to_ns, constants)
 
 
 def _run(stretch: Stretch, path: list[Array], samples: ImuBuffer, like: Eskf) -> tuple[Eskf, list[Array]]:

@@ -183,33 +183,16 @@ def _default_sigmas(position_m: float, attitude_deg: float) -> Array:
 
 def pose_of(fix: PoseFix | LandmarkFix, given: Given) -> tuple[Array, Array] | Refusal:
     """Position and unit quaternion of a fix, zero and identity where they are not given."""
-    p_n, q = np.array(fix.p_n), np.array(fix.q_nb_wxyz if given.attitude != "none" else _LEVEL)
-    norm = _unit_pose(p_n, q, given.mask)
-    if math.isnan(norm):
+    q = fix.q_nb_wxyz if given.attitude != "none" else _LEVEL
+    p_n = [value if is_given else 0.0 for value, is_given in zip(fix.p_n, given.mask.tolist()[:_XYZ], strict=True)]
+    if not all(map(math.isfinite, (*p_n, *q))):
         return Refusal(Reason.NOT_FINITE, "pose")
-    if max(map(abs, p_n.tolist())) > FARTHEST_M:
+    if max(map(abs, p_n)) > FARTHEST_M:
         return Refusal(Reason.IMPLAUSIBLE, "more than 1000 km from the map's origin")
+    norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     if not math.isclose(norm, 1.0, abs_tol=1e-2):
         return Refusal(Reason.IMPLAUSIBLE, f"quaternion of length {norm:.3g}")
-    return p_n, q
-
-
-@njit(cache=True, error_model="numpy")
-def _unit_pose(p_n: Array, q: Array, given: NDArray[np.bool_]) -> float:
-    """In place: p_n (3,), zero where it is not given, and q / |q|; |q|, or nan where any of them is not finite."""
-    for i in range(_XYZ):
-        if not given[i]:
-            p_n[i] = 0.0
-    for i in range(_XYZ):
-        if not math.isfinite(p_n[i]):
-            return math.nan
-    norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-    for i in range(4):
-        if not math.isfinite(q[i]):
-            return math.nan
-    for i in range(4):
-        q[i] /= norm
-    return norm
+    return np.array(p_n, float), np.array(q) / norm
 
 
 def slow_errors_of(fix: PoseFix | LandmarkFix, given: Given, config: PoseConfig) -> tuple[SlowError, ...] | Refusal:
@@ -244,17 +227,10 @@ def slow_errors_of(fix: PoseFix | LandmarkFix, given: Given, config: PoseConfig)
     return tuple(blocks)
 
 
-@njit(cache=True, error_model="numpy")
 def _largest(errors: Array) -> Array:
     """The largest magnitude in each errors[j] of (m, 6, k), inf where one is not finite; (m,)."""
-    largest = np.zeros(errors.shape[0])
-    for j in range(errors.shape[0]):
-        for i in range(errors.shape[1]):
-            for k in range(errors.shape[2]):
-                size = abs(errors[j, i, k])
-                if not size <= largest[j]:
-                    largest[j] = size if math.isfinite(size) else math.inf
-    return largest
+    largest = np.abs(errors).max(axis=(1, 2), initial=0.0)
+    return np.where(np.isfinite(largest), largest, math.inf)
 
 
 @lru_cache(maxsize=64)
@@ -281,7 +257,6 @@ def _on_the_body(block: str, moved: Array) -> SlowError:
     return SlowError(block, _unit(moved.shape[1]), math.inf, lambda x: _turned(x[X.Q], moved))
 
 
-@njit(cache=True, error_model="numpy")
 def _turned_back(q: Array, root: Array) -> Array:
     """T^T L T (6, 6), T = diag(R, R), of a symmetric L that was reported at the attitude R."""
     back = so3.conjugate(q)
