@@ -1,9 +1,6 @@
-"""A receiver in lasting conflict with the estimate: the remaining chance that the map is wrong.
+"""A receiver in lasting conflict with the estimate: the remaining chance that the map is wrong (docs/decision.md).
 
-The filter follows the landmarks, but datum, geoid or origin of the map may be wrong, and nothing on board shows it. The published
-covariance keeps (Bar-Shalom, Li, Kirubarajan 2001, 1.4.16)
-
-    P <- P + w (S + d d^T),     w = w_0 exp(-(|d| / d_0)^2)
+    P <- P + w (S + d d^T),     w = w_0 exp(-(|d| / d_0)^2)                    (Bar-Shalom, Li, Kirubarajan 2001, 1.4.16)
 
 d (3,) [m]: to the receiver's position; S (3, 3) [m^2]: its covariance; w_0: share of conflicts with a wrong map; d_0 [m]: size of
 map errors, which bounds the effect of spoofing.

@@ -1,10 +1,8 @@
-"""Fixes that agree with one another but with no hypothesis: the IMU is wrong.
+"""Fixes that agree with one another but with no hypothesis: the IMU is wrong (docs/decision.md).
 
-Where even a follower of one fix does not predict the next, although a vehicle can fly their path,
+Their path is flyable where
 
     |(p2 - p1) / h2 - (p1 - p0) / h1|  <  a (h1 + h2) / 2 + k sigma (1 / h1 + 1 / h2)
-
-IMU axes or units are wrong. Fixes too far apart in time do not count. Some seconds of it end the filter.
 """
 
 import math

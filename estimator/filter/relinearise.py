@@ -1,13 +1,10 @@
-"""The aligning stretch run again about its trajectory: an iterated Kalman smoother.
-
-With a trajectory x_k, one state per measurement, and d_k = x_true,k (-) x_k,
+"""The aligning stretch run again about its trajectory x_k: an iterated Kalman smoother (docs/estimator.md, section 6).
 
     d_k+1 = c_k + Phi_k d_k + w_k,   c_k = f(x_k) (-) x_k+1,   d_0 ~ N(x_prior (-) x_0, P_prior),   nu_k = H_k d_k + v_k
 
-filter and smoother give E[d_k | all nu], and the trajectory moves by it until its end stays: Gauss-Newton on the stretch (Bell
-1994). The prior is that of the first run: nothing counts twice.
-
-Estimated errors s of air data, not in the stretch, keep what is known of them given the state; old x, P, new x^, P^:
+d_k = x_true,k (-) x_k; the trajectory moves by E[d_k | all nu] until its end stays: Gauss-Newton (Bell 1994). The prior is that
+of the first run: nothing counts twice. Estimated errors s of air data keep what is known of them given the state; old x, P, new
+x^, P^:
 
     s^ = s + C (x^ (-) x),   P^_sx = C P^_xx,   P^_ss = P_ss - C P_xs + C P^_xx C^T,   C = P_sx P_xx^-1
 """

@@ -1,14 +1,11 @@
-"""Fixed-interval smoothing of a flight: forward through the tracker, then backward.
-
-With x_k|k, P_k|k filtered, x_k+1|k, P_k+1|k predicted and Phi_k the error transition,
+"""Fixed-interval smoothing of a flight: forward through the tracker, then backward (docs/estimator.md, section 9).
 
     C_k   = P_k|k Phi_k^T P_k+1|k^-1
     x_k|N = x_k|k (+) C_k (x_k+1|N (-) x_k+1|k)
     P_k|N = P_k|k + C_k (P_k+1|N - P_k+1|k) C_k^T                                      (Rauch, Tung, Striebel 1965)
 
-on the manifold (Sola 2017, eq. 285-287). Segments end at the alignment, at IMU gaps and where a hypothesis doubts the filter;
-nodes are the ancestry of the hypothesis that leads at their end. Considered errors are left out of the gain: the covariance may
-be too small while fixes share one.
+Segments end at the alignment, at IMU gaps and where a hypothesis doubts the filter. Considered errors are left out of the gain:
+the covariance may be too small while fixes share one.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence

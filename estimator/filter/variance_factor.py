@@ -1,12 +1,10 @@
-"""Variance of unit weight: ratio of actual errors to P and R, from innovations.
+"""Variance of unit weight: ratio of actual errors to P and R (docs/decision.md; Koch 1999, sec. 3.2.5).
 
     r_k = nu^T S^-1 nu / m_50(m),   f_k = max(median(r_k-6 ... r_k), 1 + (f_k-1 - 1) exp(-dt / tau))
 
-m_50(m): median of chi-square with m degrees of freedom. Covariances become f P and f S; K does not depend on f, so the estimate
-is that of an ungated filter. The median counts above what 4 % of good readings exceed, and ignores three outliers of seven. After
-20 usual readings a ratio beyond noise is a false fix and does not count. f >= 1; published it lasts four times as long: drift of
-frame or mount shows in no later innovation. Of several sources the least median counts: an excess of one is a conflict, left to
-the hypotheses. (Koch 1999, sec. 3.2.5.)
+m_50(m): median of chi-square with m degrees of freedom. Covariances become f P and f S; K does not depend on f. After 20 usual
+readings a ratio beyond noise is a false fix and does not count. f >= 1, published it lasts four times as long. Of several sources
+the least median counts: an excess of one is left to the hypotheses.
 """
 
 import math

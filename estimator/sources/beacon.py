@@ -1,13 +1,10 @@
 """Range to a known beacon (ultra-wideband).
 
     z = |b - a| + s_0 + n,   a = p + R_nb l
-
-b: beacon; l: antenna in the body; s_0: antenna delay, survey, reflections, for slow_s (considered). Beyond the gradient u = (a -
-b) / |a - b|, an error d ~ N(m, C) after this reading adds
-
     (d^T B d) / 2,   B = (I - u u^T) / |a - b|,   E[(d^T B d)^2] = (tr BC + m^T B m)^2 + 2 tr(BCBC) + 4 m^T B C B m
 
-An error across the line repeats from reading to reading, so it counts _SAME times.
+b: beacon; l: antenna in the body; s_0: for slow_s (considered). The second line: effect of an error d ~ N(m, C) beyond the
+gradient u = (a - b) / |a - b|; it repeats across the line, so it counts _SAME times.
 """
 
 import re

@@ -1,12 +1,8 @@
-"""Odometry in the hypotheses: keep the pose where an increment begins, fuse the increment where it ends.
-
-Each hypothesis keeps a pose of its own. An increment founds no hypothesis, and changes weights by c at most, for increments share
-errors:
+"""Odometry in the hypotheses: each keeps the pose where an increment begins, and fuses it where it ends.
 
     w_k <- w_k + max(l_k - max_j l_j, -c),   l = ln N(nu; 0, S), or ln of the density of a false one
 
-One that fails the gate is left out. Lasting contradictions raise the velocity by which increments may be wrong; where no position
-decides, P <- P + d d^T, d = K nu.
+An increment founds no hypothesis; one that fails the gate is left out. Where no position decides, P <- P + d d^T, d = K nu.
 """
 
 from typing import NamedTuple

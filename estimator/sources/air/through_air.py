@@ -1,13 +1,10 @@
-"""Motion through the air, from a pitot tube or a multirotor's drag, and air density.
+"""Motion through the air, from a pitot tube or a multirotor's drag, and air density (docs/air_data.md).
 
     z_b = R_nb^T (v - w) + n,   w = (w_n, w_e, 0)
-
-A pitot tube gives the first component; the specific force f across a multirotor's thrust is drag:
-
     f = -(k + (rho / 2 B) |u|) u,   u = (z_x, z_y)                           (PX4 EKF2: MCOEF k [1/s], BCOEF B [kg/m^2])
     u = -m(|f|) f / |f|,            m(f) = (sqrt(k^2 + 4 c f) - k) / 2 c,   c = rho / 2 B
 
-The wind is estimated; `in_wind` inserts the present estimate. So is the scale s, z_b = (1 + s) u + n, with d z / d s = u of the
+f: specific force across the thrust. The wind is estimated, and the scale s, z_b = (1 + s) u + n, with d z / d s = u of the
 estimate, not the noisy reading (errors in variables; Fuller 1987).
 """
 
