@@ -2,8 +2,7 @@
 
     o = s (cos 2 theta, sin 2 theta),   rho(d) = sum o_t o_i(d) / sqrt(sum o_t^2 sum o_i(d)^2),   o less its mean
 
-s, theta: structure and direction of the gradient; twice the angle: either side may be bright. By chance rho is 0; the subtracted
-mean removes a common direction (streets).
+s, theta: structure and direction of the gradient. The subtracted mean removes a common direction (streets).
 """
 
 import cv2

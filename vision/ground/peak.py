@@ -1,14 +1,10 @@
-"""Position by the peak of registration's search alone, where blocks do not agree.
-
-Covariance of an image, and common to all:
+"""Position by the peak of registration's search alone, where blocks do not agree (docs/vision_orthophoto.md).
 
     C = (1 - rho^2) / rho  K^-1  c  +  (f q)^2 I,   K = -d^2 rho / d(north, east)^2
     s = m unevenness (1 - rho)^4
 
-s: shadows and leaning objects; a turned shadow moves the peak half its length at worst, m = 1 / (2 tan 15 deg). The peak must
-exceed the second one, zero, and the scatter: of 10,000 Gaussian correlations the best exceeds 5 sigma by chance in 0.3 %; of M
-positions the best is r times the second with M^(-2 (r - 1)). A lower peak, or a line (ridge.py), needs other evidence
-(orientation.py, recognisers.py).
+C: of an image; s: common to all, shadows and leaning objects, m = 1 / (2 tan 15 deg). The peak must exceed the second one, zero,
+and the scatter of all positions; a lower one, or a line (ridge.py), needs other evidence (orientation.py, recognisers.py).
 """
 
 import math

@@ -1,13 +1,10 @@
-"""Position by registration of the camera's image with an orthophoto, near the prior.
+"""Position by registration of the camera's image with an orthophoto, near the prior (docs/vision_orthophoto.md).
 
 coarse   position, heading and height within the prior where the whole is most like the map (search.py)
 blocks   shifted singly, sub-pixel, twice, then finer: map points with pixel and covariance
+pose     of these points and the prior (point_pose.py), if one position stands out and enough blocks agree
 
     C = (1 - rho^2) / rho  K^-1  a / n,   K = -d^2 rho / ds^2,   a = 2 pi s^2: pixels whose noise is one after the blur s
-
-pose     of these points and the prior (point_pose.py)
-no       unless one position stands out, and more blocks agree on a pose than by chance; a likely position waits for
-         the next image (recognisers.py)
 """
 
 import math

@@ -2,8 +2,8 @@
 
     rivals = {d: score(d) > usual + (best - usual) / ratio},   n = least eigenvector of their covariance, weights score - level
 
-One line: none farther off than a peak's width, longer than that, its width searched. n mean(rivals) is measured with the scatter
-across, valid at the weighted mean of the evidence: elsewhere heading or height errors move it.
+n mean(rivals) is measured with the scatter across, valid at the weighted mean of the evidence: elsewhere heading or height errors
+move it.
 """
 
 from dataclasses import dataclass

@@ -1,11 +1,9 @@
 """Density of unmapped objects at a region's position, by image turn t and log scale s.
 
     f_i(h) = sum_ts w_ts f_i(t, s) / sum_ts w_ts,     w_ts = exp(-|(t, s) - (x_t, x_s)|^2_P / 2)
+    prod_i f_i  exp(-(1 / M) sum_i ln (f_i / f))                    of a hypothesis without landmarks: f_i is relative
 
-x, P: a hypothesis' common errors. The search uses the highest f_i. f_i is relative to the other regions, so a hypothesis without
-landmarks has
-
-    prod_i f_i  exp(-(1 / M) sum_i ln (f_i / f))
+x, P: a hypothesis' common errors. The search uses the highest f_i.
 """
 
 from dataclasses import dataclass

@@ -1,13 +1,10 @@
 """Landmarks learned from a flight: a roof seen repeatedly, with its covariance.
 
     z_i = l + n_i + F_i s,   n_i ~ N(0, R_i) anew in each image,   s ~ N(0, I) the same in all of them
-
-F_i: pose, mounting, lens, depth (column d_i). Rays of one roof meet in one point:
-
     l    = C (Lambda_0 l_0 + sum S_i^-1 z_i),   C = (Lambda_0 + sum S_i^-1)^-1,   S_i = R_i + n d_i d_i^T
     cov  = C (Lambda_0 + sum S_i^-1 R_i S_i^-1) C + F F^T,    F = sum C S_i^-1 F_i
 
-so systematic errors are not averaged. l_0: some metres above ground.
+F_i: pose, mounting, lens, depth (column d_i); l_0: some metres above ground. Systematic errors are not averaged.
 """
 
 from collections.abc import Sequence

@@ -1,14 +1,12 @@
-"""Motion between two stereo pairs from points y = (u_l, v_l, u_r), by Gauss-Newton, points eliminated.
+"""Motion between two stereo pairs from points y = (u_l, v_l, u_r), by Gauss-Newton (docs/odometry_frontend.md).
 
     z_0 = y + i delta + e_0,   z_1 = g(y; T) + i delta + e_1,   g = h o T^-1 o h^-1,   i = (0, 0, 1)   (two views of each point)
     d(y) = f b pi^T m(y) + e_d,   m = ((u_l - c_x) / f, (v_l - c_y) / f, 1)                           (ground plane, optional)
 
-h: camera point to (u_l, v_l, u_r); T: body pose at t1 in the body at t0; delta: common disparity error of the rig, N(0,
-sigma_delta^2); pi = n / height. With G = dg/dy, C = dg/d(T, delta, pi), S = R_1 + G R_0 G^T each point contributes C^T S^-1 C
-(Schur complement; Triggs et al. 2000).
-
-Normal matrix N, L its part by the priors of delta and height: systematic error N^-1 L (prior - truth); new in each step N^-1 (N -
-L) N^-1. p_true = p + dp, R_true = R exp(theta).
+h: camera point to y; T: body pose at t1 in the body at t0; delta: common disparity error; pi = n / height. Points are eliminated:
+C^T S^-1 C each, S = R_1 + G R_0 G^T, G = dg/dy, C = dg/d(T, delta, pi) (Triggs et al. 2000). Of the normal matrix N, L by the
+priors of delta and height: systematic N^-1 L (prior - truth); new in each step N^-1 (N - L) N^-1. p_true = p + dp, R_true = R
+exp(theta).
 """
 
 from dataclasses import dataclass

@@ -1,10 +1,8 @@
-"""All outlines as one pattern: common shift at every turn and scale of the prior.
+"""All outlines as one pattern: common shift at every turn and scale of the prior (docs/vision_aerial.md).
 
     q = J_uv dx + e,   e ~ N(0, s^2)        (shift [px] of the outlines' middle; the map's error is one for all of them)
 
-For roofs without clean edges (joint_score.py). A fit away from the summit, or with an equal rival, is refused; without a fit, a
-distinct summit is reported along its directions. Of M positions the best is r times the second by chance with about M^(-2 (r -
-1)).
+A fit away from the summit, or with an equal rival, is refused; without a fit, a distinct summit is reported along its directions.
 """
 
 import math

@@ -1,11 +1,8 @@
-"""Verification of a position; in doubt no fix.
+"""Verification of a position; in doubt no fix (docs/vision_predict.md).
 
-    share   = sum support / sum length          of all landmarks in view, not of the chosen ones
-    rival   = (score of another position) / score          where it is high, both are fitted, and their odds compared
-    agree   : |x (-) x0 now  -  x (-) x0 then|^2 < chi2,   over the covariances of both fits and the prior's drift since
-
-A weak position waits for an image with the same error of the prior; after another error even a certain one waits, unless much
-likelier.
+share   = sum support / sum length          of all landmarks in view, not of the chosen ones
+rival   = (score of another position) / score          where it is high, both are fitted, and their odds compared
+agree   : |x (-) x0 now  -  x (-) x0 then|^2 < chi2,   over the covariances of both fits and the prior's drift since
 """
 
 import math
