@@ -1,11 +1,8 @@
 """Sub-pixel corners of a chessboard from rough ones; size: inner corners, columns and rows.
 
-The window follows the squares' size. A corner off the pattern is refined again, unless it is more of a saddle. Corrected bias by
-edges of curvature kappa:
+Windows follow the squares; uneven light is divided out. Corrected bias by edges of curvature kappa:
 
     y_refined = -kappa <x^2> / 2,   <x^2> = w^2 (1/2 - L exp(-L^2) / (sqrt(pi) erf(L))),   weights exp(-x^2 / w^2), |x| < L w
-
-Uneven light is divided out, a quadratic through the bright squares.
 """
 
 from typing import Final

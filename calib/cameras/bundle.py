@@ -1,11 +1,10 @@
-"""Bundle adjustment of one or two cameras and a board: least squares, marginal covariance.
+"""Bundle adjustment of one or two cameras and a board, with marginal covariance (covariance.py).
 
     x_1 = R x_o + t,   x_k = R_k x_1 + t_k,   px = pi_k(x_k) + e        (o = board, 1 = first camera)
 
-Shared unknowns s: (fx fy cx cy *distortion) per camera, (t_k, rotation) per further one; per view (t, rotation), R <- exp(dtheta)
-R, eliminated. Covariance sigma^2 H^-1, widened by common errors (covariance.py):
-
     H = sum J_s^T J_s - J_s^T J_v (J_v^T J_v)^-1 J_v^T J_s
+
+s: (fx fy cx cy *distortion) per camera, (t_k, rotation) per further one; v: (t, rotation) per view, R <- exp(dtheta) R.
 """
 
 from collections.abc import Sequence

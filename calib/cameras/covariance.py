@@ -1,14 +1,10 @@
-"""Covariance of shared unknowns s with corner errors common to a view, or to all views.
+"""Covariance of shared unknowns s, with corner errors common to a view (Bell & McCaffrey 2002) or to all.
 
-    C = sigma^2 H^-1,   sigma^2 = r^T r / redundancy,   H = sum H_i over the views      (independent errors)
-
-With s = W z, W^T H W = I, a view's gradient g_i shows its common error (Bell & McCaffrey 2002):
-
-    y_i = (I - M_i)^-1/2 W^T g_i,   M_i = W^T H_i W,   E[y_i y_i^T] = sigma^2 M_i for independent errors,   sum M_i = I
+    C = sigma^2 H^-1,   sigma^2 = r^T r / redundancy,   H = sum H_i over the views,   s = W z,   W^T H W = I
+    y_i = (I - M_i)^-1/2 W^T g_i,   M_i = W^T H_i W,   E[y_i y_i^T] = sigma^2 M_i for independent errors
     f = sum |y_i|^2 / (m sigma^2),   sum y_i y_i^T = f sigma^2 V diag(lambda) V^T
 
-C is widened by f, and by lambda > 1 along its directions. A bow z_o = b_1 x^2 + b_2 x y + b_3 y^2 moves s by d = H^-1 H_sb b;
-where significant, C + d d^T.
+C is widened by f, and by lambda > 1. A bow z_o = b_1 x^2 + b_2 x y + b_3 y^2 adds d d^T, d = H^-1 H_sb b, where significant.
 """
 
 from typing import Final, NamedTuple
