@@ -55,7 +55,7 @@ class OneLineErrors(Group):
 
 
 def plain(message: str) -> str:
-    """A usage error without the words of the library that found it."""
+    """A usage error in plain words."""
     message = re.sub(r"Value error, |, unable to parse string as an? \w+", "", message)
     return message.replace("Input should be", "must be")
 

@@ -92,7 +92,7 @@ class Inputs(Topics, frozen=True, forbid_unknown_fields=True):
 
 
 class Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """[map]: where it lies on Earth, and what stands on it."""
+    """[map]: origin and landmarks."""
 
     origin: Annotated[
         tuple[_Latitude, _Longitude, _Height] | None,
@@ -152,7 +152,7 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     mavlink: MavlinkConfig = MavlinkConfig()
 
     def fusion(self) -> FusionConfig:
-        """What the estimator needs."""
+        """Configuration of the estimator."""
         return FusionConfig(
             imu=self.imu,
             **self.sources(),

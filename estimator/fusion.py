@@ -1,6 +1,5 @@
-"""The estimator without I/O, clock or threads: messages in, estimates and reports out.
-
-Daemon, replay, simulation and tests use this same object.
+"""The estimator without I/O, clock or threads, messages in, estimates and reports out: one object for daemon, replay, simulation
+and tests.
 """
 
 import math
@@ -77,7 +76,7 @@ class FusionConfig(FilterConfig, frozen=True, kw_only=True):
 
 
 class Fusion:
-    """`handle(message)` is everything. It never raises: a defect of ours is counted, reported and survived."""
+    """`handle(message)` is everything; it never raises: defects are counted, reported, survived."""
 
     def __init__(self, config: FusionConfig) -> None:
         self._config = config
@@ -102,7 +101,7 @@ class Fusion:
         self._publisher: Tracker | None = None  # of the last estimate
 
     def handle(self, message: Input) -> list[Output]:
-        """Take one message; what it leads to, in order."""
+        """Take one message; outputs in order."""
         moves = True  # the state, rather than a measurement that is to take its place
         try:
             quiet = self._history.quiet
@@ -129,7 +128,7 @@ class Fusion:
         return out
 
     def _recover(self, message: Input) -> AidStatus:
-        """What moves the state fails again and again: go on from the last sound checkpoint, the next time from nothing."""
+        """The state keeps failing: go on from the last sound checkpoint, the next time from nothing."""
         sound = self._history.from_last_sound() if self._failures == _FAILURES else None
         if sound is None:
             return self._restart(None, message.t_ns, message.arrived_ns, Reason.INTERNAL, self._detail)
@@ -139,9 +138,7 @@ class Fusion:
         )
 
     def catch_up(self) -> None:
-        """Work in some of what came late, now that the output is out, rather than when the next message comes; the result is the
-        same.
-        """
+        """Work in some late measurements after the output; the result is the same as at the next message."""
         self._history.catch_up()
 
     def _begin(self, checkpoint: Checkpoint | None = None) -> History:
@@ -162,7 +159,7 @@ class Fusion:
         return History(tracker, config.estimator.history_s)
 
     def _asked(self) -> list[tuple[int, Callable[[int], Aid]]]:
-        """What the IMU itself shows, rest and drag, is asked once a period, at stamps that do not depend on the samples."""
+        """Questions to the IMU (rest, drag), once a period, at stamps independent of the samples."""
         rest, drag, wind = self._config.rest, self._config.drag, self._config.wind
         asked: list[tuple[int, Callable[[int], Aid]]] = []
         if rest.enabled:
@@ -174,7 +171,6 @@ class Fusion:
     # --- inputs ---------------------------------------------------------------------------------------------------------
 
     def _next(self, sample: ImuSample, quiet: Quiet) -> list[Output] | None:
-        """The estimate at the next sample where nothing else happens; None: the sample has not been taken."""
         t_ns, newest_ns, last = sample.t_ns, quiet.samples.newest_ns, self._published
         if (
             not newest_ns < t_ns <= min(quiet.until_ns, newest_ns + self._gap_ns)
@@ -214,7 +210,6 @@ class Fusion:
         return self._take_sample(sample)
 
     def _take_sample(self, sample: ImuSample) -> list[Output]:
-        """One whose stamp is that of its stream's clock."""
         if self._imus.is_used:
             changed = self._change_imu(sample)
             if not self._imus.leads(sample):
@@ -229,14 +224,12 @@ class Fusion:
         return self._advance(sample)
 
     def _hold(self, sample: ImuSample, why: str) -> list[Output]:
-        """Time goes on without a sample that repeats the last one."""
         return [self._refuse(sample, Refusal(Reason.HELD, why)), *self._tick(Tick(sample.t_ns, sample.arrived_ns))]
 
     def _refuse_sample(self, sample: ImuSample, refusal: Refusal) -> list[Output]:
         return [self._refuse(sample, refusal), *self._clock_stepped(sample, refusal)]
 
     def _change_imu(self, sample: ImuSample) -> bool:
-        """Note the sample of one of several IMUs; whether another IMU leads because of it, which has then taken over."""
         change = self._imus.note(sample, is_refuted=self._history.tracker.is_refuted)
         if change is None:
             return False
@@ -248,7 +241,6 @@ class Fusion:
         return True
 
     def _advance(self, sample: ImuSample) -> list[Output]:
-        """Publish at the newest sample."""
         if sample.t_ns != self._history.samples.newest_ns:  # late: what it changes shows in the next output
             return []
         self._note_lead(sample)
@@ -260,7 +252,6 @@ class Fusion:
         return self._publish(tracker, sample.t_ns, sample.arrived_ns, sample.gyro_b)
 
     def _is_asked(self, t_ns: int, since_ns: int) -> bool:
-        """Whether a period of a question ends in between."""
         return any(t_ns // period_ns * period_ns > since_ns for period_ns, _ in self._questions)
 
     def _other(self, message: Input) -> list[Output]:
@@ -276,7 +267,6 @@ class Fusion:
                 return self._aid(message, Refusal(Reason.UNKNOWN_TOPIC) if aid is None else aid)
 
     def _aid(self, message: Input, aid: Aid | Refusal) -> list[Output]:
-        """A measurement takes its place, where it is processed with the next samples."""
         refusal = aid if isinstance(aid, Refusal) else self._future(message)
         if refusal is None and isinstance(aid, Aid) and (reason := self._history.insert_aid(aid)) is not None:
             refusal = Refusal(reason)
@@ -285,7 +275,6 @@ class Fusion:
         return [] if refusal is None else [self._refuse(message, refusal)]
 
     def _tick(self, tick: Tick) -> list[Output]:
-        """Time goes on; only where the IMU is missing does that lead to an estimate."""
         if refusal := self._future(tick):
             return [self._refuse(tick, refusal)]
         self._note_lead(tick)
@@ -297,7 +286,6 @@ class Fusion:
         return self._publish(tracker, tick.t_ns, tick.arrived_ns, vec3(samples.u[samples.count - 1]))
 
     def _resume(self, checkpoint: Checkpoint) -> list[Output]:
-        """Go on from where an earlier run was interrupted; nothing else may have come before."""
         refusal = None
         if self._history.samples.count:
             refusal = Refusal(Reason.TOO_OLD, "the estimate has begun already")
@@ -319,7 +307,7 @@ class Fusion:
         return []
 
     def _note_lead(self, message: ImuSample | Tick) -> None:
-        """The quickest message bounds the offset of the stamps' clock; the bound is relaxed by 0.1 s in a second."""
+        """Bound the stamps' clock offset by the quickest message, relaxed by 0.1 s in a second."""
         lead_ns = message.t_ns - message.arrived_ns
         if self._lead is not None:
             quickest_ns, noted_ns = self._lead
@@ -334,7 +322,6 @@ class Fusion:
         return Refusal(Reason.IN_FUTURE, f"{ahead_ns * 1e-9:.1f} s ahead") if ahead_ns > _FUTURE_NS else None
 
     def _ahead_ns(self, message: Input) -> int:
-        """By how much a stamp runs ahead of the stamps' clock; 0 where that is not known yet."""
         if self._lead is None:
             return 0
         lead_ns, noted_ns = self._lead
@@ -343,7 +330,6 @@ class Fusion:
     # --- outputs --------------------------------------------------------------------------------------------------------
 
     def _publish(self, tracker: Tracker, t_ns: int, arrived_ns: int, gyro: Vec3) -> list[Output]:
-        """Estimate (with a Reset before it, if it jumped), decisions that are new, health when it is due."""
         out: list[Output] = []
         changed = self._history.changed()
         last = self._published
@@ -379,7 +365,6 @@ class Fusion:
         return Estimate(t_ns, arrived_ns, nav, covariance, rate, mode, self._reset_counter, absolute_ns, tracker.place)
 
     def _periodic(self, tracker: Tracker, t_ns: int, arrived_ns: int) -> list[Output]:
-        """Integrity and health, when they are due."""
         out: list[Output] = []
         if self._integrity.due(t_ns):
             out.append(self._integrity.at(tracker, t_ns, arrived_ns))
@@ -389,9 +374,9 @@ class Fusion:
         return out
 
     def _jump(self, last: Estimate, lead: Eskf, published: Array, t_ns: int, *, is_aligned: bool) -> Array | None:
-        """How far the estimate stands from where the last published one has gone since; None where that is within its noise.
+        """Step of the estimate against the last published one; None where within noise.
 
-        published: (15, 15), by which it is judged without a heading; with one the leading filter's alone counts.
+        published: (15, 15), used without a heading; else the leading filter's.
         """
         doubt = lead.variance_factor * lead.cov if is_aligned else published
         samples = self._history.samples
@@ -401,7 +386,6 @@ class Fusion:
         return delta if state.has_moved(delta, doubt, _RESET_SIGMA) else None
 
     def _clock_stepped(self, sample: ImuSample, refusal: Refusal) -> list[Output]:
-        """An IMU whose stamps are all off our clock, but in step among themselves for a second, has a new clock: begin again."""
         if refusal.reason not in {Reason.IN_FUTURE, Reason.TOO_OLD}:
             return []
         count, since_ns, last_ns = self._out_of_sync or (0, sample.arrived_ns, sample.t_ns)
@@ -416,9 +400,9 @@ class Fusion:
         return [self._restart(None, sample.t_ns, sample.arrived_ns, Reason.IN_FUTURE, "the clock of the IMU has stepped")]
 
     def _restart(self, tracker: Tracker | None, t_ns: int, arrived_ns: int, reason: Reason, detail: str) -> AidStatus:
-        """Nothing of the state can be used any more: the alignment begins again, a jump of unknown size.
+        """The state is unusable: align anew, a jump of unknown size.
 
-        tracker: whose map and sources the next one takes over; None: none, its times are of another clock.
+        tracker: keeps its map and sources; None: times are of another clock.
         """
         self._history = History(tracker.restarted(), self._config.estimator.history_s) if tracker else self._begin()
         self._integrity.begin_again()
@@ -427,7 +411,6 @@ class Fusion:
         return self._state_status(t_ns, arrived_ns, reason, f"{detail}; aligning again")
 
     def _state_status(self, t_ns: int, arrived_ns: int, reason: Reason, detail: str) -> AidStatus:
-        """The report of what became of the state itself."""
         self._detail = detail
         self._count(reason)
         return AidStatus(t_ns, arrived_ns, "", "state", reason, detail=detail)
@@ -457,7 +440,6 @@ class Fusion:
         return status
 
     def _refuse(self, message: Input, refusal: Refusal) -> AidStatus:
-        """The report of a message that is no measurement."""
         self._count(refusal.reason)
         delay_s = (message.arrived_ns - message.t_ns) * 1e-9
         kind = type(message).__name__
@@ -469,7 +451,6 @@ class Fusion:
         self._counts[reason] = self._counts.get(reason, 0) + 1
 
     def _say(self, tracker: Tracker) -> str:
-        """What went wrong, else what keeps it from an estimate; what makes that less certain, and what had to be assumed."""
         said = self._detail or (tracker.detail if not tracker.core.is_aligned else "")
         said = "; ".join(filter(None, (said, self._imus.remark(self._history.samples.newest_ns), self._held.says)))
         return "; ".join(
@@ -507,7 +488,6 @@ class Fusion:
 
 
 def _is_whole(checkpoint: Checkpoint) -> bool:
-    """Whether its arrays have the shapes that compiled code expects of them."""
     arrays: list[tuple[object, tuple[int, ...]]] = [(checkpoint.nav, (X.SIZE,)), (checkpoint.covariance, (E.SIZE, E.SIZE))]
     fits = all(isinstance(a, np.ndarray) and a.shape == shape and a.dtype == np.float64 for a, shape in arrays)
     last_gnss: object = checkpoint.last_gnss
@@ -515,7 +495,6 @@ def _is_whole(checkpoint: Checkpoint) -> bool:
 
 
 def _biases(x: Array, cov: Array) -> dict[str, float]:
-    """The IMU's biases for Health, of the state (16,) and its covariance (15, 15)."""
     values: dict[str, float] = {}
     for name, value, error in (("gyro", X.BG, E.BG), ("accel", X.BA, E.BA)):
         sigma = np.sqrt(np.diag(cov)[error])
@@ -525,7 +504,6 @@ def _biases(x: Array, cov: Array) -> dict[str, float]:
 
 
 def _wind(lead: Eskf) -> dict[str, float]:
-    """The wind for Health, where it is estimated: whereto it blows."""
     if (at := lead.slow.columns.get(WIND)) is None:
         return {}
     known = zip(("north", "east"), lead.slow.of(WIND).tolist(), np.sqrt(lead.cov.diagonal()[at]).tolist(), strict=True)

@@ -1,4 +1,4 @@
-"""What leaves the estimator on the wire, and how often: the same for the daemon, the replay and the simulation."""
+"""Outputs on the wire and their rates, for daemon, replay and simulation."""
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -17,7 +17,7 @@ OVERLAY_TOPIC = "/landfix/overlay"
 
 
 def file_attachment(kind: str, path: Path) -> Attachment:
-    """A file that the configuration names (`calibration`, `map`), as a log keeps it. Raises ConfigError."""
+    """A named file (`calibration`, `map`) as an attachment. Raises ConfigError."""
     try:
         return Attachment(f"{kind}/{path.name}", "application/octet-stream", content(path))
     except OSError as error:
@@ -25,7 +25,7 @@ def file_attachment(kind: str, path: Path) -> Attachment:
 
 
 class OutputConfig(msgspec.Struct, frozen=True):
-    """How often what is published."""
+    """Rates of the outputs."""
 
     rate_hz: Annotated[
         float, Meta(ge=0, le=10_000, description="/landfix/odometry at most this often; 0: one per IMU sample")
@@ -39,7 +39,7 @@ class OutputConfig(msgspec.Struct, frozen=True):
 
 
 class Pace:
-    """Thins a stream: due() is true for the first stamp in each period of 1/rate_hz, counted from t_ns = 0 (0: always)."""
+    """Thins a stream: due() is true for the first stamp of each period 1/rate_hz from t_ns = 0 (0: always)."""
 
     def __init__(self, rate_hz: float) -> None:
         self._period_ns = round(1e9 / rate_hz) if rate_hz > 0 else 0
@@ -57,7 +57,7 @@ class Pace:
 
 
 class Publisher:
-    """Encodes the outputs of Fusion and thins what would be too much."""
+    """Encodes and thins Fusion's outputs."""
 
     def __init__(self, config: OutputConfig) -> None:
         self._odometry = Pace(config.rate_hz)

@@ -99,7 +99,7 @@ def run(
 
 
 def row(experiment: Experiment, roof: Roof, method: str, trials: Sequence[Trial], pairs: int) -> Row:
-    """What a method made of its trials."""
+    """Summary of a method's trials."""
     answers = [t.answers[method] for t in trials]
     wrong = sum(a.verdict == "wrong" for a in answers)
     ms = [a.cpu_ms for a in answers if a.cpu_ms is not None]

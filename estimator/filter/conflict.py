@@ -34,7 +34,7 @@ class Apart(NamedTuple):
 
     @property
     def lasts(self) -> bool:
-        """For so long that it is no outlier."""
+        """It lasts longer than an outlier."""
         return self.last_ns - self.since_ns >= _LASTS_NS
 
     @property
@@ -50,7 +50,7 @@ class Apart(NamedTuple):
 
     @property
     def is_near(self) -> bool:
-        """Whether it stands where the estimate is: d^T S^-1 d is small."""
+        """Whether it is near the estimate: small d^T S^-1 d."""
         return bool(self.off @ np.linalg.solve(self.s, self.off) <= gate(_NEAR, _XYZ))
 
 

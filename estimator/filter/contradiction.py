@@ -33,7 +33,7 @@ class Contradiction(NamedTuple):
     last: tuple[tuple[int, Array], ...] = ()
 
     def also(self, t_ns: int, z: Measurement) -> "Contradiction":
-        """With one more that nobody has foreseen."""
+        """With one more unpredicted fix."""
         if not isinstance(z, Pose | Position):
             return self
         here = (t_ns, z.z_n)

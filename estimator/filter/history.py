@@ -1,19 +1,11 @@
-"""Exact rewind: the estimate is a function of the set of measurements, ordered by time of validity, never by arrival.
+"""Exact rewind: the estimate is a function of the set of measurements, ordered by validity, never by arrival.
 
-A late or reordered measurement takes its place in the order; the tracker goes back to the last checkpoint before it and does
-everything again, gates and source machines included. So late = punctual, to the bit. A stop at an IMU sample changes no bit of
-the propagation, and one at an aid is made in any case: there checkpoints may stand.
+For a late measurement the tracker returns to the checkpoint before it and redoes everything, gates and source machines included:
+late = punctual, to the bit. Checkpoints stand only at IMU samples and aids, so they change no bit.
 
-No output waits for that: behind each, a slice of it is done, few measurements at a time, and until it has caught up the tracker
-of before goes on by the IMU alone. Slices are cut by stamps, not by the clock, so a replay says the same. Each slice covers at
-least `_PACE` times the time that has passed since the last one, so the work ends at any rate of measurements.
-
-A published estimate is not taken away by what came late. While the tracker that works it in has none (or none with a heading,
-where there was one), the one of before goes on by the IMU alone. If that lasts for `history_s`, it is the tracker again, and what
-came late is lost.
-
-A measurement whose processing raises is a defect of ours. It is decided INTERNAL once; the tracker goes back to the checkpoint
-before it and passes it over from then on.
+Outputs do not wait: a slice is redone behind each, while the tracker of before goes on by the IMU alone. Slices are cut by
+stamps, not the clock (equal in replay). If the redone tracker loses estimate or heading, the one of before goes on, for
+`history_s` at most. A measurement whose processing raises is INTERNAL and passed over.
 """
 
 from bisect import bisect_left, bisect_right
@@ -35,9 +27,7 @@ _LEVELLING_NS = 6_000_000_000  # IMU kept before the oldest checkpoint, or what 
 
 @dataclass(slots=True, eq=False)
 class Entry:
-    """An aid in the history, what became of it last time, how often that changed, the samples replayed
-    for it, and the reason last reported; failed: its processing raised, so it is passed over.
-    """
+    """An aid: last decision, revisions, samples replayed, reason last reported; failed: processing raised."""
 
     aid: Aid
     decision: Decision | None = None
@@ -48,7 +38,7 @@ class Entry:
 
 
 class History:
-    """Samples, aids and checkpoints of the last `history_s`, and the tracker at the end of them."""
+    """Samples, aids and checkpoints of the last `history_s`, and the tracker behind them."""
 
     def __init__(self, tracker: Tracker, history_s: float, samples: ImuBuffer | None = None) -> None:
         self.samples = samples or ImuBuffer()
@@ -69,14 +59,14 @@ class History:
         self.quiet: Quiet | None = None  # where the next sample has nothing to do but to be gone through
 
     def from_last_sound(self) -> "History | None":
-        """A history that begins at the newest sound checkpoint, with the IMU samples and without any aid; None: there is none."""
+        """A history from the newest sound checkpoint with the IMU samples, no aid; or None."""
         for tracker in reversed(self._checkpoints):
             if tracker.is_sound:
                 return History(tracker.copy(), self._span_ns * 1e-9, self.samples)
         return None
 
     def insert_sample(self, sample: ImuSample) -> Reason | None:
-        """Put an IMU sample in its place; the reason where it is not taken."""
+        """Insert an IMU sample; the reason where it is refused."""
         self.quiet = None
         if sample.t_ns <= self._checkpoint_times[0]:
             return Reason.TOO_OLD
@@ -99,7 +89,7 @@ class History:
         return None
 
     def change_imu(self, since_ns: int, samples: list[ImuSample]) -> int:
-        """Samples of another IMU in place of those after since_ns; from when on, which is later where that is too long ago."""
+        """Samples after since_ns replaced by another IMU's; from when on (later if too old)."""
         self.quiet = None
         since_ns = max(since_ns, self._checkpoint_times[0] + 1, self.samples.newest_ns - self._span_ns)
         self.samples.cut(since_ns)
@@ -110,7 +100,7 @@ class History:
         return since_ns
 
     def insert_aid(self, aid: Aid) -> Reason | None:
-        """Put an aid in its place; the reason where it is not taken."""
+        """Insert an aid; the reason where it is refused."""
         since_ns = aid.begin.t_ns if aid.begin is not None else aid.t_ns
         if since_ns <= self._checkpoint_times[0] or since_ns < self.samples.newest_ns - self._span_ns:
             return Reason.TOO_OLD
@@ -121,7 +111,7 @@ class History:
         return None
 
     def _place(self, aid: Aid) -> bool:
-        """Put it in the order, and go back for it; False: it is there."""
+        """Insert an aid into the order and rewind to it; False where it is known."""
         self.quiet = None
         k = bisect_left(self._orders, aid.order)
         if k < len(self._orders) and self._orders[k] == aid.order:
@@ -136,10 +126,10 @@ class History:
         return True
 
     def advance(self, to_ns: int, *, coast: bool = False) -> Tracker:
-        """The tracker at `to_ns`, to publish from: without what came late, until that is worked in.
+        """The tracker at `to_ns`, for publication: without late measurements until they are worked in.
 
-        coast: beyond the newest IMU sample, too, with a slice of the measurements that wait there. The tracker then stands at the
-        last of them: where the IMU will split the time beyond it is not known yet. An IMU sample that was late takes it back.
+        coast: also beyond the newest IMU sample, with a slice of the waiting measurements; the tracker then stands at the last of
+        them, since the IMU's split of the time beyond is unknown. A late IMU sample takes it back.
         """
         self.quiet = None
         if self._redo_from_ns is not None and self._ahead is None:
@@ -163,7 +153,6 @@ class History:
 
     @property
     def _is_quiet(self) -> bool:
-        """Whether the tracker publishes at the newest sample, and all that is left to do is to go through the next ones."""
         return (
             self.tracker.core.t_ns == self.samples.newest_ns
             and self._next == len(self._orders)
@@ -174,7 +163,7 @@ class History:
         )
 
     def take_next(self, sample: ImuSample, quiet: Quiet) -> tuple[Array, Array] | None:
-        """Quiet.take; at the end of the samples that it is for, a checkpoint is due."""
+        """Quiet.take; a checkpoint is due at its end."""
         self._since_checkpoint += 1
         shown = quiet.take(sample)
         if shown is None or not quiet.left:
@@ -182,18 +171,16 @@ class History:
         return shown
 
     def _coast(self, to_ns: int) -> bool:
-        """A slice of the measurements up to `to_ns`; whether that is all of them."""
         interval_ns = to_ns - max(self.samples.newest_ns, self._coasted_ns)
         self._coasted_ns = to_ns
         self._go_through(to_ns, self._slice(interval_ns, _TICK_MEASUREMENT_NS))
         return not self._waiting(to_ns)
 
     def _slice(self, interval_ns: int, measurement_ns: int) -> int:
-        """How many measurements may be worked in within an interval: as many as there is time for, and as keep pace."""
         return max(1, interval_ns // measurement_ns, self._waiting(self.tracker.core.t_ns + _PACE * interval_ns))
 
     def catch_up(self) -> None:
-        """Work in a slice of what came late, once behind every output of `advance`."""
+        """Work in a slice of late measurements, behind every output of `advance`."""
         if not self._due:
             return
         self._due = False
@@ -203,7 +190,7 @@ class History:
             self._hand_over()
 
     def _hand_over(self) -> None:
-        """What came late is worked in: publish from the tracker again, unless that would end a published estimate."""
+        """Publish from the caught-up tracker, unless that would end a published estimate."""
         ahead = self._ahead
         if ahead is None:
             return
@@ -216,7 +203,6 @@ class History:
             self._restore()
 
     def _begin_at(self, tracker: Tracker) -> None:
-        """The tracker becomes the one of record; nothing before it is redone any more."""
         self.tracker, self._redo_from_ns, self._since_checkpoint = tracker, None, 0
         self._checkpoints, self._checkpoint_times = [tracker.copy()], [tracker.core.t_ns]
         done = bisect_right(self._orders, tracker.core.t_ns, key=lambda order: order[0])
@@ -224,7 +210,7 @@ class History:
         self._next = 0
 
     def changed(self) -> list[Entry]:
-        """Entries whose decision is new or another than last reported, in order of validity, however often they were redone."""
+        """Entries whose decision differs from the one last reported, in order of validity."""
         if not self._changed:  # nearly every call
             return []
         changed = [e for e in set(self._changed) if e.decision is not None and e.counted is not e.decision.reason]
@@ -240,7 +226,7 @@ class History:
         entry.decision = decision
 
     def _go_through(self, to_ns: int, most: int | None = None) -> None:
-        """Move the tracker through the measurements up to `to_ns`, as many as may be, and by the IMU as far as it is known."""
+        """Move the tracker to `to_ns` through at most `most` measurements, as far as IMU samples reach."""
         if self._next == len(self._orders) or self._take(to_ns, most):  # nearly every call there is none
             self._propagate(min(to_ns, self.samples.newest_ns))
         if self._since_checkpoint >= _CHECKPOINT_SAMPLES and not self._waiting(
@@ -249,11 +235,9 @@ class History:
             self._checkpoint()
 
     def _waiting(self, to_ns: int) -> int:
-        """How many measurements of up to `to_ns` the tracker has not seen."""
         return bisect_right(self._orders, to_ns, lo=self._next, key=lambda order: order[0]) - self._next
 
     def _take(self, to_ns: int, most: int | None) -> bool:
-        """Let the tracker process what waits up to `to_ns`, as many as may be; whether that is all of it."""
         wanted = self._waiting(to_ns)
         left = wanted if most is None else min(wanted, most)
         is_all = left == wanted
@@ -269,9 +253,9 @@ class History:
         return is_all
 
     def _process(self, entry: Entry) -> bool:
-        """Let the tracker process an entry.
+        """Process an entry.
 
-        False: it raised, or the state is not finite after it, and it is marked; the tracker is that of a checkpoint before it.
+        False: it raised or the state is not finite; it is marked, and the tracker is the checkpoint's.
         """
         was_sound = self.tracker.is_sound
         try:
@@ -288,7 +272,6 @@ class History:
         return True
 
     def _propagate(self, to_ns: int) -> None:
-        """Move the tracker to `to_ns`, leaving checkpoints; all aids of the time that it leaves are done."""
         samples, tracker = self.samples, self.tracker
         if tracker.core.t_ns >= to_ns:
             return
@@ -326,11 +309,9 @@ class History:
             self._next -= drop
 
     def _rewind_to(self, t_ns: int) -> None:
-        """Whatever was done at or after t_ns is to be done again."""
         self._redo_from_ns = t_ns if self._redo_from_ns is None else min(self._redo_from_ns, t_ns)
 
     def _restore(self) -> None:
-        """Back to the last checkpoint strictly before the time from which to redo."""
         assert self._redo_from_ns is not None
         k = bisect_left(self._checkpoint_times, self._redo_from_ns) - 1
         del self._checkpoints[k + 1 :], self._checkpoint_times[k + 1 :]

@@ -38,7 +38,7 @@ class ImuEvidence:
         return other
 
     def felt(self, aid: Aid, samples: ImuBuffer) -> tuple[Aid, Measurement | Refusal]:
-        """What the IMU itself shows: rest, or the drag of a multirotor."""
+        """Evidence of the IMU alone: rest, drag."""
         core = self.core
         if aid.kind == rest.TOPIC:
             return aid, self._rest(samples)

@@ -68,7 +68,7 @@ class Stretch:
 
     @classmethod
     def of(cls, known: Eskf) -> "Stretch":
-        """One that begins with what a filter knows."""
+        """A stretch that begins with a filter's state."""
         return cls(known.t_ns, known.x.copy(), known.cov.copy(), known.slow)
 
     def also(self, aid: Aid, z: Measurement, gyro_b: Array, *, follows: bool = False) -> "Stretch":
@@ -99,11 +99,11 @@ class Stretch:
 
     @property
     def has_followed(self) -> bool:
-        """Whether some measurement of it was fused whatever its distance."""
+        """Whether it fused a measurement at any distance."""
         return any(taken.follows for taken in self.taken)
 
     def is_long(self, t_ns: int) -> bool:
-        """Whether it is too long to be run again."""
+        """Whether it is too long for another run."""
         return len(self.taken) >= _MOST or t_ns - self.t_ns > _LONGEST_NS
 
 

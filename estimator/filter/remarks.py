@@ -37,7 +37,7 @@ def apart(found: Mapping[str, Apart]) -> list[str]:
 
 
 def units(path_scale: PathScale, absolute: Iterable[str]) -> list[str]:
-    """Which fixes are in a wrong unit."""
+    """Fixes in a wrong unit."""
     return [*filter(None, (path_scale.objection(topic) for topic in sorted(absolute)))]
 
 
@@ -47,7 +47,7 @@ def heading(topic: str) -> str:
 
 
 def drifts(sources: Mapping[str, SourceState]) -> list[str]:
-    """Which odometry has contradicted the IMU while no position decided."""
+    """Odometry that contradicted the IMU without positions."""
     return [
         f"{topic} and the IMU have contradicted each other: each may be wrong by {s.drift_m_s:.2g} m/s"
         for topic, s in sorted(sources.items())
@@ -56,12 +56,12 @@ def drifts(sources: Mapping[str, SourceState]) -> list[str]:
 
 
 def delays(found: Delays, hypotheses: Hypotheses | None) -> list[str]:
-    """Which sources are later than configured."""
+    """Sources later than configured."""
     return delay.remarks(found, hypotheses.lead) if hypotheses is not None else []
 
 
 def held(found: Mapping[str, int], t_ns: int) -> list[str]:
-    """Which sources repeat a reading."""
+    """Sources that repeat a reading."""
     return [
         f"{topic} repeats the same reading to the bit: not used"
         for topic, at_ns in sorted(found.items())
@@ -70,13 +70,13 @@ def held(found: Mapping[str, int], t_ns: int) -> list[str]:
 
 
 def imu(hypotheses: Hypotheses | None) -> list[str]:
-    """Whether fixes have shown that the IMU is wrong."""
+    """Whether fixes show a wrong IMU."""
     doubts = hypotheses is not None and hypotheses.members[0].doubts_imu
     return ["the IMU contradicts the fixes: unknown motion is assumed between them"] if doubts else []
 
 
 def scatter(found: Mapping[str, Scatter], t_ns: int) -> list[str]:
-    """Which sources are noisier than they claim."""
+    """Sources noisier than claimed."""
     return [
         f"{topic} scatters {math.sqrt(s.factor):.0f} times as far as it claims: jammed?"
         for topic, s in sorted(found.items())

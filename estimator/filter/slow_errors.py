@@ -33,7 +33,7 @@ class SlowErrors(NamedTuple):
         )
 
     def joined(self, blocks: Sequence[str], other: "SlowErrors") -> "SlowErrors":
-        """With these blocks of another behind its own, means included."""
+        """With these blocks of another appended, means included."""
         columns, every = self.columns, [self.tau_s, self.psd, self.mean, self.estimated]
         for block in blocks:
             start, at = E.SIZE + len(every[0]), other.columns[block]
@@ -83,7 +83,7 @@ class SlowErrors(NamedTuple):
         return self.mean[at.start - E.SIZE : at.stop - E.SIZE]
 
     def moved(self, by: Array) -> "SlowErrors":
-        """With the means of what is estimated moved; by: (k,)."""
+        """With the estimated means moved by `by` (k,)."""
         return SlowErrors(self.columns, self.tau_s, self.psd, self.mean + self.estimated * by, self.estimated)
 
 

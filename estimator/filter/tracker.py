@@ -1,6 +1,6 @@
-"""What the estimator knows at one instant: everything that a checkpoint has to keep.
+"""State of the estimator at one instant: all that a checkpoint keeps.
 
-A tracker takes measurements in the order of their validity and changes by nothing else: no clock, no arrival, no randomness.
+It changes by measurements in order of validity alone: no clock, no arrival, no randomness.
 """
 
 import math
@@ -57,7 +57,7 @@ _USELESS = 100.0  # times the variance that a source claims, and it is no aid
 
 
 class Tracker:
-    """Hypotheses, alignment, source machines and what was last known."""
+    """Hypotheses, alignment, source machines, last known values."""
 
     def __init__(self, config: TrackerConfig) -> None:
         self.core = Core(config)
@@ -77,7 +77,7 @@ class Tracker:
         self.scatter: dict[str, Scatter] = {}  # of sources of positions, and their velocities; never changed in place
 
     def copy(self) -> "Tracker":
-        """An independent tracker in the same state; what never changes in place is shared."""
+        """An independent copy; immutable parts are shared."""
         other = object.__new__(Tracker)
         other.__dict__.update(self.__dict__)
         other.core = self.core.copy()
@@ -86,7 +86,7 @@ class Tracker:
         return other
 
     def restarted(self) -> "Tracker":
-        """A tracker without estimate, on the same map and with the same trust in the sources."""
+        """A tracker without estimate, same map and trust."""
         other, core = Tracker(self.core.config), self.core
         other.core.origin, other.core.constants, other.core.noise = core.origin, core.constants, core.noise
         other.core.absolute, other.core.last_absolute_ns = core.absolute, core.last_absolute_ns
@@ -97,16 +97,16 @@ class Tracker:
 
     @property
     def is_refuted(self) -> bool:
-        """No hypothesis foresaw the last positions, or a source of positions has failed its gate several times in a row."""
+        """No hypothesis predicted the last positions, or a position source failed its gate several times in a row."""
         return self.alignment.contradiction.unforeseen >= _REFUTED or max(self.failed.values(), default=0) >= _REFUTED
 
     @property
     def standing(self) -> int:
-        """How much of an estimate there is: 2 aligned, 1 published without a heading, 0 none."""
+        """2 aligned, 1 published without a heading, 0 none."""
         return 2 if self.core.is_aligned else int(self.alignment.shown is not None)
 
     def shown_covariance(self, mixed: Array | None = None) -> Array:
-        """Of what is shown; mixed: that of the hypotheses together, where it is known, which this may change."""
+        """Covariance shown; mixed: that of the hypotheses, if known, may be changed."""
         core = self.core
         bank = self.alignment.bank
         assert bank is not None
@@ -130,24 +130,24 @@ class Tracker:
 
     @property
     def shows_mixture(self) -> bool:
-        """What is shown has the covariance of the hypotheses together; nothing but late_cov is added to it."""
+        """The covariance shown is that of the hypotheses alone, without late_cov."""
         core, factor = self.core, self.core.variance_factor
         is_plain = core.is_aligned and not core.conflicts.apart and self.alignment.without_sensor is None
         return is_plain and not factor.lasting > factor.value
 
     @property
     def limits(self) -> tuple[float, float, float, float]:
-        """Of what is published (bounds.is_within): speed, least and largest down position, sigma of the position."""
+        """Limits of what is published (bounds.is_within)."""
         bounds, origin_m = self.core.config.bounds, float(self.place[2]) if self.place else 0.0
         fastest, lowest, highest = bounds.limits
         return fastest, origin_m - highest, origin_m - lowest, float(bounds.sigma_m)
 
     def violation(self, eskf: Eskf) -> str:
-        """What of the state is beyond any vehicle's; '' where nothing is."""
+        """Implausible parts of the state; '' for none."""
         return self.core.config.bounds.violation(eskf.x, eskf.cov, self.place[2] if self.place else 0.0)
 
     def resume(self, checkpoint: Checkpoint) -> None:
-        """Begin aligned, in the state in which an earlier run was interrupted."""
+        """Begin aligned in an interrupted run's state."""
         core = self.core
         core.t_ns, core.last_absolute_ns = checkpoint.t_ns, checkpoint.last_absolute_ns
         if checkpoint.origin is not None:
@@ -163,7 +163,7 @@ class Tracker:
 
     @property
     def detail(self) -> str:
-        """What keeps it from an estimate."""
+        """Why there is no estimate."""
         core = self.core
         if self.alignment.plausibility.detail or self.alignment.given_up:
             return self.alignment.plausibility.detail or contradiction.SAYS
@@ -173,7 +173,7 @@ class Tracker:
 
     @property
     def remarks(self) -> list[str]:
-        """What makes an estimate that is published less certain than configured."""
+        """Why a published estimate is less certain than configured."""
         core = self.core
         if self.alignment.shown is None:
             return []
@@ -196,12 +196,12 @@ class Tracker:
 
     @property
     def needs_from_ns(self) -> int:
-        """The oldest IMU sample that may be gone through again."""
+        """Oldest IMU sample that may be needed again."""
         beside = self.alignment.without_sensor.stretch if self.alignment.without_sensor is not None else None
         return min((s.t_ns for s in (self.core.stretch, beside) if s is not None), default=2**62)
 
     def propagate(self, samples: ImuBuffer, to_ns: int) -> None:
-        """Through the IMU samples to `to_ns`; after a minute without any, nothing is left to go on with."""
+        """Through the IMU samples to `to_ns`; after a minute without any, the state is given up."""
         core = self.core
         if to_ns - core.t_ns > _LOST_NS:
             self.alignment.lose()
@@ -212,13 +212,13 @@ class Tracker:
         core.t_ns = to_ns
 
     def mode(self, newest_imu_ns: int, t_ns: int) -> Mode:
-        """What an estimate for t_ns rests on."""
+        """Mode of an estimate for t_ns."""
         core = self.core
         is_coasting = core.is_aligned and core.hypotheses is not None and t_ns - newest_imu_ns > core.gap_ns
         return Mode.COASTING if is_coasting else self.mode_until(t_ns)[0]
 
     def mode_until(self, t_ns: int) -> tuple[Mode, int]:
-        """What an estimate rests on at t_ns with the IMU, and until when it does without another measurement."""
+        """Mode at t_ns with the IMU, and how long it lasts without another measurement."""
         core = self.core
         if core.hypotheses is None or not core.is_aligned:
             if self.alignment.shown is not None:
@@ -302,7 +302,6 @@ class Tracker:
         return decision
 
     def _odometry(self, aid: OdometryAid) -> Decision:
-        """Keep the pose, or fuse the motion since the one that was kept."""
         core = self.core
         if core.hypotheses is None or not core.is_aligned:
             self.kept.pop(aid.topic, None)
@@ -323,7 +322,6 @@ class Tracker:
         return Decision(step.reason, tuple(nu), tuple(sigma), step.seen.distance2 / step.gate, step.detail)
 
     def _change_imu(self, aid: ImuAid) -> Decision:
-        """The samples that follow are those of another IMU, with biases of its own; no run goes across the change."""
         core = self.core
         core.noise = core.config.imu.scaled(aid.factor)
         core.constants = imu.constants(self.bias_walk.of_noise(core.noise), core.config.coast, core.origin)
@@ -336,7 +334,6 @@ class Tracker:
         return Decision(Reason.FUSED, detail=aid.detail)
 
     def _judge(self, aid: Aid, z: Measurement, gyro_b: Array, state: SourceState, *, alone: bool) -> tuple[Decision, SourceState]:
-        """Gate and fuse, once aligned."""
         core = self.core
         assert core.hypotheses is not None
         receiver = self.sources.get(aid.receiver or "", _UNKNOWN)  # of a velocity: it stands and falls with its positions
@@ -390,7 +387,7 @@ class Tracker:
         return Decision(reason, tuple(verdict.seen.nu.tolist()), tuple(sigma.tolist()), ratio, detail, position), state
 
     def _forget_estimated(self, aid: Aid, z: Measurement) -> None:
-        """Wind or sensor have changed: what is estimated of them is unknown again, while positions show the motion."""
+        """Wind or sensor has changed: its estimates are unknown again, while positions show the motion."""
         core = self.core
         if not isinstance(z, AirVelocity | DragForce):
             return
@@ -400,9 +397,9 @@ class Tracker:
                     core.hypotheses.forget(slow.block)
 
     def _settle(self, stretch: Stretch, samples: ImuBuffer, alone: str) -> None:
-        """Once aligned, run the stretch again where that is worth it, until the linear filter can go on alone.
+        """Run the stretch again while worthwhile, until the linear filter can go on alone.
 
-        Not in dead reckoning: without absolute positions nothing confirms where a run ends. alone: the topic of the only source.
+        Not in dead reckoning: no position confirms the result. alone: topic of the only source.
         """
         core = self.core
         assert core.hypotheses is not None
@@ -419,7 +416,6 @@ class Tracker:
             core.stretch = Stretch.of(core.hypotheses.lead)
 
     def _note_biases(self, aid: Aid, seen: Innovation) -> None:
-        """Whether they walk faster than configured."""
         core = self.core
         assert core.hypotheses is not None
         before = self.bias_walk
@@ -432,7 +428,6 @@ class Tracker:
                 member.filter.widen_biases(walked)
 
     def _alone(self, aid: Aid) -> bool:
-        """No other absolute source is active to compare this one with."""
         return not any(
             topic not in {aid.topic, aid.witness}
             and topic in self.core.absolute
@@ -441,7 +436,6 @@ class Tracker:
         )
 
     def _leave(self, position_n: Array) -> None:
-        """A source that has been fused turns out to be wrong; a position of GNSS (3,) shows by how much it may have misled."""
         core = self.core
         core.variance_factor = NO_EXCESS
         if not core.is_aligned or core.hypotheses is None:
@@ -455,14 +449,12 @@ class Tracker:
         lead.widen(max(1.0, float(np.linalg.norm(off) / np.sqrt(np.trace(lead.cov[E.P, E.P])))))
 
     def _vouched(self, aid: Aid) -> bool:
-        """Another absolute source has been fused lately."""
         return any(
             topic != aid.topic and topic in self.core.absolute and aid.t_ns - s.fused_ns < remarks.VOUCHED_NS
             for topic, s in self.sources.items()
         )
 
     def _note_absolute(self, aid: Aid, z: Measurement) -> None:
-        """An absolute position was fused; a geodetic one is the last-known GPS."""
         core = self.core
         if not aid.absolute:
             return

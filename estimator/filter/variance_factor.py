@@ -30,7 +30,7 @@ class Recent(NamedTuple):
 
     @property
     def excess(self) -> float:
-        """The median, 1 where it is usual or of too few."""
+        """The median, 1 if usual or of too few."""
         if len(self.ratios) < _FEWEST:
             return 1.0
         middle = sorted(self.ratios)[(len(self.ratios) - 1) // 2]

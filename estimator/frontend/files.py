@@ -31,7 +31,7 @@ def load_processor(rig_file: Path, map_file: Path | None, origin: Vec3 | None, i
 
 
 def load_odometry(rig_file: Path) -> OdometryProcessor:
-    """Visual odometry with these cameras. Raises ConfigError, which names the file."""
+    """Visual odometry with these cameras. Raises ConfigError."""
     try:
         return OdometryProcessor(load_cameras(rig_file))
     except (CalibrationError, ValueError) as error:

@@ -105,5 +105,5 @@ class KeyFrames:
 
 
 def name_of(shot: Shot | None) -> ImageName | None:
-    """What a request calls an image."""
+    """An image's name in a request."""
     return shot.name if shot else None

@@ -34,7 +34,7 @@ class OdometryProcessor:
         return self._time_offset_ns
 
     def process(self, request: OdometryRequest, first: Pair, second: Pair) -> list[Encoded]:
-        """The report, and the increment if there is one. Never raises."""
+        """The report, and the increment if any. Never raises."""
         frames = [self._frame(pair) for pair in (first, second)]
         flaws = [f"{name}: {frame}" for name, frame in zip(("first", "second"), frames, strict=True) if isinstance(frame, str)]
         a, b = frames
@@ -77,7 +77,7 @@ def delta_of(request: OdometryRequest, step: Step) -> OdometryDelta:
 
 
 def prediction_of(request: OdometryRequest) -> Prediction:
-    """What a request predicts, as a step takes it."""
+    """Prediction of a request for a step."""
     p, q = np.array(request.dp_b), so3.normalise(np.array(request.dq_wxyz))
     if request.height_sigma_m <= 0.0:
         return Prediction(p, q, request.covariance)

@@ -28,7 +28,7 @@ _CAMERAS_HZ: Final = 1.0  # again and again: who comes later, and a part of a ro
 
 
 class _Look(NamedTuple):
-    """What was examined last, and what was identified in it."""
+    """The last observation and its identifications."""
 
     request: VisionRequest
     left: Pixels | None

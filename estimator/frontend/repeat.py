@@ -1,5 +1,5 @@
-"""A replay from images, for landmarks and odometry alike: logged requests are repeated, bit for bit; a log without them gets
-its own, from the replay's estimate, with answers 50 ms later.
+"""Replay from images, for landmarks and odometry: logged requests are repeated bit for bit; without them requests come from the
+replay's estimate, answers 50 ms later.
 """
 
 from abc import ABC, abstractmethod
@@ -20,7 +20,7 @@ _LATENCY_NS: Final = 50_000_000  # of an answer to images that were never proces
 
 
 class Asked(NamedTuple):
-    """A request as it is logged, and its answers."""
+    """A logged request and its answers."""
 
     request: Encoded
     answers: list[Encoded]
@@ -65,12 +65,12 @@ class Repeat(ABC):
         """A new request with its answers; None: none for this pair."""
 
     def note(self, outputs: Iterable[Output]) -> None:
-        """What Fusion said: the priors of requests to come."""
+        """Note Fusion's outputs: priors of later requests."""
         if not self._repeats:
             self._track.note(outputs)
 
     def records(self, record: Record) -> Iterator[Record]:
-        """What the estimator is to see instead of this record, in order."""
+        """Records for the estimator in place of this one, in order."""
         while self._due and self._due[0][0] <= record.log_time_ns:
             due_ns, answers = self._due.popleft()
             yield from (Record(a.topic, a.schema, due_ns, a.data) for a in answers)
@@ -105,19 +105,19 @@ class Repeat(ABC):
 
 
 class Together:
-    """Landmarks and odometry of one log, each from its own requests."""
+    """Landmarks and odometry of one log."""
 
     def __init__(self, parts: Sequence[Repeat]) -> None:
         self.parts = parts
 
     def note(self, outputs: Iterable[Output]) -> None:
-        """What Fusion said."""
+        """Note Fusion's outputs."""
         kept = list(outputs)
         for part in self.parts:
             part.note(kept)
 
     def records(self, record: Record) -> Iterator[Record]:
-        """What the estimator is to see instead of this record, in order."""
+        """Records for the estimator in place of this one, in order."""
         records = [record]
         for part in self.parts:
             records = [seen for one in records for seen in part.records(one)]

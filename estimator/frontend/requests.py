@@ -23,7 +23,7 @@ _KEPT: Final = 2000  # estimates: seconds at IMU rate
 
 
 class VisionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """[vision]: used where [rig] file and [map] landmarks are given."""
+    """[vision]: used with [rig] file and [map] landmarks."""
 
     most_hz: Annotated[float, Meta(ge=0.01, le=100, description="Hz: at most so many pairs are processed")] = 10.0
     pair_ms: Annotated[float, Meta(ge=0, le=100, description="ms: stamps of a pair differ by no more")] = 5.0
@@ -47,7 +47,7 @@ class Shot(NamedTuple):
 
     @property
     def name(self) -> ImageName:
-        """What a request calls it."""
+        """Its name in a request."""
         return ImageName(self.topic, self.stamp_ns)
 
 
@@ -93,7 +93,7 @@ class Pairing:
         return [*ready, *self._paced(pair)]
 
     def overdue(self, now_ns: int) -> list[Pair]:
-        """The images whose other one does not come any more."""
+        """Images whose partner is overdue."""
         alone: list[Pair] = []
         for side, shots in self._waiting.items():
             while shots and now_ns - shots[0].arrived_ns > self._patience_ns:
@@ -115,12 +115,12 @@ class Track:
         self._estimates: deque[Estimate] = deque(maxlen=_KEPT)
 
     def note(self, outputs: Iterable[Output]) -> None:
-        """Keep the estimates of Fusion; without a heading there is no prior."""
+        """Keep Fusion's estimates; without a heading they are no prior."""
         self._estimates.extend(o for o in outputs if isinstance(o, Estimate) and o.mode is not Mode.ALIGNING_HEADING)
 
     @property
     def mode(self) -> str:
-        """What the newest estimate rests on; "" before the first."""
+        """Mode of the newest estimate; "" before the first."""
         return self._estimates[-1].mode if self._estimates else ""
 
     def between(self, t0_ns: int, t1_ns: int) -> list[Estimate]:
@@ -133,7 +133,7 @@ class Track:
         return chosen if covered else []
 
     def request(self, pair: Pair, arrived_ns: int, run: int = 0) -> VisionRequest | None:
-        """Estimated pose at the time of exposure; None where it is unknown."""
+        """Pose at exposure as prior; None if unknown."""
         t_ns = pair.t_ns
         near = min(tuple(self._estimates), key=lambda e: abs(e.t_ns - t_ns), default=None)
         if near is None or abs(near.t_ns - t_ns) > _OLDEST_NS:

@@ -133,7 +133,7 @@ class Overlay:
 
     @property
     def camera(self) -> CameraModel:
-        """The camera that took the images."""
+        """The images' camera."""
         return self._rig.right if self._right else self._rig.left
 
     def frame(
@@ -157,7 +157,7 @@ class Overlay:
         return Frame(canvas, moment)
 
     def rows(self) -> tuple[LandmarkRow, ...]:
-        """What became of each landmark, the most often seen first."""
+        """A row per landmark, the most seen first."""
         made = [LandmarkRow(i, self._landmarks[i].name, n, Spread.of(self._residuals[i])) for i, n in self._in_view.items()]
         return tuple(sorted(made, key=lambda row: (-(row.residual_px.n if row.residual_px else 0), row.id)))
 

@@ -50,7 +50,7 @@ class Snapshot(NamedTuple):
 
 
 class Fault(NamedTuple):
-    """One of them, horizontally and vertically [m]."""
+    """A fault, horizontally and vertically [m]."""
 
     name: str
     probability: float

@@ -22,7 +22,7 @@ _UNKNOWN: Final = Levels(math.inf, math.inf)
 
 
 class Monitor:
-    """note() what became of each measurement; at() when due()."""
+    """note() decisions; at() when due()."""
 
     def __init__(self, config: IntegrityConfig) -> None:
         self._config = config
@@ -66,11 +66,11 @@ class Monitor:
             self._positions[status.topic] = Position(status.kind, _NEVER, (), (), fused_ns)
 
     def due(self, t_ns: int) -> bool:
-        """Whether it is time."""
+        """Whether levels are due."""
         return self._next_ns is None or t_ns >= self._next_ns
 
     def at(self, tracker: Tracker, t_ns: int, arrived_ns: int) -> Integrity:
-        """What is published at t_ns, as far as it can be trusted."""
+        """Protection levels and alert at t_ns."""
         self._next_ns = t_ns + self._period_ns
         reason = "there is no estimate"
         try:

@@ -36,11 +36,11 @@ _FINDINGS = FINDINGS_ATTACHMENT.partition("/")[0]
 
 
 class ReplayConfig(Protocol):
-    """What a replay needs of the configuration (estimator.config.Config has it)."""
+    """Configuration of a replay (estimator.config.Config)."""
 
     @property
     def output(self) -> OutputConfig:
-        """What is published how often."""
+        """Rates of the outputs."""
         ...
 
     def fusion(self) -> FusionConfig:
@@ -48,7 +48,7 @@ class ReplayConfig(Protocol):
         ...
 
     def decoder(self) -> Decoder:
-        """Which topics are read, and how."""
+        """Decoder of the configured topics."""
         ...
 
     def toml(self) -> str:
@@ -57,14 +57,14 @@ class ReplayConfig(Protocol):
 
 
 class SeesAgain(Protocol):
-    """What processes the images of the log again (estimator.frontend.replay_images.ImageReplay)."""
+    """Processes a log's images again (estimator.frontend.replay_images.ImageReplay)."""
 
     def records(self, record: Record) -> Iterable[Record]:
-        """What the estimator is to see instead of this record."""
+        """Records for the estimator in place of this one."""
         ...
 
     def note(self, outputs: Iterable[Output]) -> None:
-        """What Fusion said."""
+        """Note Fusion's outputs."""
         ...
 
 

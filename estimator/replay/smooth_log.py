@@ -24,14 +24,14 @@ _READ, _CHOSEN, _SMOOTHED = 0.2, 0.4, 0.7  # fractions of the work: the file is 
 
 
 class SmoothLogConfig(Protocol):
-    """What is needed of the configuration (estimator.config.Config has it)."""
+    """Configuration of smoothing (estimator.config.Config)."""
 
     def fusion(self) -> FusionConfig:
         """The parameters of the estimator."""
         ...
 
     def decoder(self) -> Decoder:
-        """Which topics are read, and how."""
+        """Decoder of the configured topics."""
         ...
 
     def toml(self) -> str:

@@ -79,7 +79,7 @@ class SummaryBuilder:
         self._last_ns = max(self._last_ns, log_time_ns)
 
     def step(self, message: Input, outputs: list[Output]) -> None:
-        """One input and what it caused."""
+        """Count one input and its outputs."""
         if self._watch:
             self._watch.add(message)
         if isinstance(message, ImuSample):

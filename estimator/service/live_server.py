@@ -19,7 +19,7 @@ _PROGRESS_EVERY: Final = 500
 
 
 class LiveError(Exception):
-    """There is no server; one line for the user."""
+    """No server; one line."""
 
 
 class LiveServer:
@@ -50,7 +50,7 @@ class LiveServer:
 
     @property
     def port(self) -> int:
-        """Where it listens."""
+        """Listening port."""
         return int(self._server.port)
 
     @property
@@ -68,7 +68,7 @@ class LiveServer:
                 )
 
     def put(self, message: Encoded, t_ns: int) -> None:
-        """Send a message that came at t_ns."""
+        """Send a message of t_ns."""
         self.offer({message.topic: message.schema})
         channel = self._channels.get(message.topic)
         if channel is not None:
@@ -77,7 +77,7 @@ class LiveServer:
             channel.log(message.data, log_time=t_ns)
 
     def tell_time(self, t_ns: int) -> None:
-        """It is now, for viewers."""
+        """Send the time to viewers."""
         self._server.broadcast_time(t_ns)
 
     def _repeat(self, topic: str) -> None:
@@ -87,7 +87,7 @@ class LiveServer:
 
 
 class _Welcome:
-    """Foxglove's ServerListener, of which one event matters."""
+    """Foxglove's ServerListener: subscriptions only."""
 
     def __init__(self, subscribed: Callable[[str], None]) -> None:
         self._subscribed = subscribed

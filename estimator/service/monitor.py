@@ -175,7 +175,7 @@ def connected(config: ZenohConfig, folder: Path, endpoint: str | None) -> Iterat
 
 
 def status(session: zenoh.Session) -> str:
-    """The daemon's own account, JSON. Raises BusError when there is none."""
+    """The daemon's status as JSON. Raises BusError."""
     for reply in session.get("landfix/status", timeout=_ANSWER_S):
         if reply.ok is not None:
             return reply.ok.payload.to_string()

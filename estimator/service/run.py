@@ -51,7 +51,7 @@ _SWITCH_S: Final = 1e-3  # a thread that computes gives way after this: the loop
 
 
 class RunConfig(Protocol):
-    """What the daemon needs of the configuration (estimator.config.Config has it)."""
+    """Configuration of the daemon (estimator.config.Config)."""
 
     @property
     def service(self) -> ServiceConfig: ...  # noqa: D102

@@ -6,7 +6,7 @@ import socket
 
 
 class Notifier:
-    """Sends to NOTIFY_SOCKET, if there is one, until stopping()."""
+    """Sends to NOTIFY_SOCKET, if set, until stopping()."""
 
     def __init__(self) -> None:
         address = os.environ.get("NOTIFY_SOCKET", "")
@@ -24,7 +24,7 @@ class Notifier:
         self._send("WATCHDOG=1")
 
     def stopping(self) -> None:
-        """The daemon was asked to stop; there is nothing more to say."""
+        """The daemon was asked to stop."""
         self._send("STOPPING=1")
         if self._socket:
             self._socket.close()

@@ -57,7 +57,7 @@ class SourcesConfig(msgspec.Struct, frozen=True, kw_only=True):
     odometry: OdometryConfig = OdometryConfig()
 
     def sources(self) -> dict[str, Any]:
-        """All of them by name."""
+        """Sections by name."""
         return {name: getattr(self, name) for name in SourcesConfig.__struct_fields__}
 
 

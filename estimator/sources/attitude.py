@@ -16,7 +16,7 @@ _CONFIG: Final = PoseConfig(tilt_deg=0.0, mount_deg=0.0)
 
 
 def attitude_aid(prior: AttitudePrior) -> Aid | Refusal:
-    """A pose without a position, of which the alignment alone makes use."""
+    """A pose without position, for the alignment only."""
     if np.shape(prior.covariance) != (3, 3):
         return Refusal(Reason.MALFORMED, "the covariance of an attitude is 3 x 3")
     if given_components(np.diag(np.r_[0.0, 0.0, 0.0, np.diag(prior.covariance)])).attitude != "full":

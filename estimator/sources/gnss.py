@@ -1,9 +1,7 @@
-"""GNSS: position on the ellipsoid and velocity over ground, of an antenna next to the IMU.
+"""GNSS: position on the ellipsoid, velocity over ground.
 
-The receiver's covariance is taken as white noise; on top of it position and velocity each carry a slow error (atmosphere,
-multipath, the receiver's own filter) that repeats from fix to fix and is considered, not averaged away. For the velocity it
-decides how fast the position may go wrong between two fixes of another source: white noise of 0.1 m/s at 5 Hz alone would
-let GNSS velocity carry a position for 10 s within 0.14 m, and real receivers are off by 0.1 to 1.5 m then.
+The receiver's covariance is white; position and velocity also carry a slow considered error (atmosphere, multipath, receiver
+filter), without which 0.1 m/s at 5 Hz would claim 10 s of motion to 0.14 m (real: 0.1 to 1.5 m).
 """
 
 import math
@@ -33,7 +31,7 @@ _Lever: TypeAlias = Annotated[float, Meta(ge=-100, le=100)]
 
 
 class GnssConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """[gnss]: delay, lever arm, noise where the receiver gives none, and how the source is judged."""
+    """[gnss]: delay, lever arm, default noise, judgement."""
 
     delay_s: Annotated[
         float, Meta(ge=-1, le=5, description="s: stamps are later than validity by this much; below 0: the IMU's are")
@@ -140,5 +138,5 @@ def velocity_aid(velocity: GnssVelocity, config: GnssConfig) -> Aid | Refusal:
 
 @lru_cache(maxsize=64)
 def _slow(block: str, sigma: float, tau_s: float) -> tuple[SlowError, ...]:
-    """Horizontally sigma, vertically twice that (satellites are above only); none where it is 0."""
+    """Horizontally sigma, vertically twice that; none where it is 0."""
     return (SlowError(block, np.diag([sigma**2, sigma**2, 4.0 * sigma**2]), tau_s),) if sigma else ()

@@ -9,7 +9,7 @@ from models.messages import LastGnss
 
 @dataclass(frozen=True, slots=True)
 class GnssAnchor:
-    """The last trusted GNSS fix: place (lat, lon, alt), time, 1-sigma radius [m] and speed then [m/s]."""
+    """The last trusted GNSS fix: (lat, lon, alt), time, 1-sigma radius [m], speed [m/s]."""
 
     place: tuple[float, float, float]
     t_ns: int
@@ -17,6 +17,6 @@ class GnssAnchor:
     speed_m_s: float
 
     def at(self, t_ns: int) -> LastGnss:
-        """Grown with its age: the vehicle may have gone on at the speed it had."""
+        """Grown with age at its speed."""
         age_s = (t_ns - self.t_ns) * 1e-9
         return LastGnss(*self.place, age_s=age_s, sigma_m=float(np.hypot(self.sigma_m, self.speed_m_s * age_s)))

@@ -22,7 +22,7 @@ _FIXES_PLACE = 0.05  # smallest gain from position to reading with which, the at
 
 
 def landmark_aid(fix: LandmarkFix, config: PoseConfig) -> Aid | Refusal:
-    """A fix as a measurement of what it measured."""
+    """A fix as a measurement."""
     if fix.directions is None:
         return pose_aid(fix, config)
     directions = np.array(fix.directions, dtype=float, order="C")

@@ -1,11 +1,9 @@
-"""Odometry: how the body has moved, as cameras or wheels measured it, against a pose that the filter keeps.
+"""Odometry: motion of the body against a pose kept by the filter (docs/odometry.md).
 
     dp = (1 + s) R_0^T (p_1 - p_0) + |dp| l + v_p,   dR = R_0^T R_1 exp(v_theta)
 
-s: scale, estimated; l: a considered error that lasts lasting_s (texture, light, a wheel on wet grass are the same for a while);
-v: white. An increment takes two places in the order of measurements: where it begins, the filter keeps its pose; where it ends,
-it is fused. Of poses in the odometry's own frame the tracker makes increments, in the order of validity, so that which poses are
-taken does not depend on their arrival. The covariance of such a pose is that of all its past, and no use for a difference.
+s: scale, estimated; l: considered, lasting lasting_s; v: white. Poses in an own frame become increments in the tracker, in order
+of validity, without their covariance (of all their past).
 """
 
 import math
@@ -49,7 +47,7 @@ _Rows: TypeAlias = NDArray[np.intp]
 
 
 class OdometryConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """[odometry]: its noise, and how it is judged; poses are used where [inputs] odometry names a topic."""
+    """[odometry]: noise and judgement; poses are off without [inputs] odometry."""
 
     delay_s: Annotated[
         float, Meta(ge=-1, le=5, description="s: stamps are later than validity by this much; below 0: the IMU's are")
@@ -76,7 +74,7 @@ class OdometryConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Begins(NamedTuple):
-    """An increment begins here; nothing else of its topic may begin before until_ns. name: of the increment."""
+    """Start of an increment `name`; no other of its topic may start before until_ns."""
 
     until_ns: int
     name: bytes
@@ -84,7 +82,7 @@ class Begins(NamedTuple):
 
 
 class Increment(NamedTuple):
-    """An increment ends here; reported: its own covariance (6, 6), where it is one of cameras (see `widened`)."""
+    """End of an increment; reported: covariance (6, 6) of cameras (see `widened`)."""
 
     name: bytes
     z: RelativePose
@@ -92,7 +90,7 @@ class Increment(NamedTuple):
 
 
 class Posed(NamedTuple):
-    """A pose (7,) in the odometry's frame `epoch`; since: the increment from an earlier pose, and the errors that it carries."""
+    """A pose (7,) in the odometry's frame `epoch`; since: increment from an earlier pose, and its errors."""
 
     pose: Array
     epoch: str
@@ -101,9 +99,9 @@ class Posed(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """The pose that the filters keep for a topic: since t_ns, for the increment `name` until until_ns, or for the next pose.
+    """The pose kept for a topic since t_ns, for increment `name` until until_ns, or the next pose.
 
-    pose: in the odometry's frame; newest: the last pose since, its time, and the velocity there, m/s in the odometry's frame.
+    pose: in the odometry's frame; newest: last pose since, its time and velocity there, m/s.
     """
 
     t_ns: int
@@ -115,18 +113,18 @@ class Kept(NamedTuple):
 
 
 class OdometryAid(Aid, frozen=True, eq=False, kw_only=True):
-    """An aid that says how the body has moved."""
+    """An aid about the motion of the body."""
 
     motion: Begins | Increment | Posed
 
     @property
     def is_reported(self) -> bool:
-        """See Aid: where an increment begins nothing is decided."""
+        """See Aid: nothing is decided at an increment's start."""
         return not isinstance(self.motion, Begins)
 
 
 def increment_aid(delta: OdometryDelta, config: OdometryConfig) -> Aid | Refusal:
-    """An increment as a measurement, and where it begins."""
+    """An increment as a measurement, and its start."""
     dp, q = np.array(delta.dp_b, dtype=float), np.array(delta.dq_wxyz, dtype=float)
     seconds = (delta.t_ns - delta.t0_ns) * 1e-9
     if refusal := _motion_refusal(dp, q, seconds, config):
@@ -158,7 +156,7 @@ def increment_aid(delta: OdometryDelta, config: OdometryConfig) -> Aid | Refusal
 
 
 def odometry_pose_aid(reading: OdometryPose, config: OdometryConfig) -> Aid | Refusal:
-    """A pose in the odometry's frame, of which the tracker makes increments."""
+    """A pose in the odometry's frame, for increments."""
     pose = np.array((*reading.p_o, *reading.q_ob_wxyz), dtype=float)
     if refusal := _motion_refusal(pose[:_XYZ], pose[_XYZ:], None, config):
         return refusal
@@ -208,7 +206,6 @@ def _aid(
 
 
 def _motion_refusal(p: Array, q: Array, seconds: float | None, config: OdometryConfig) -> Refusal | None:
-    """Why a position or an increment p (3,), q (4,) over so many seconds (None: a pose) is none."""
     if not (np.isfinite(p).all() and np.isfinite(q).all()):
         return Refusal(Reason.NOT_FINITE, "pose")
     norm, length = float(np.linalg.norm(q)), float(np.linalg.norm(p))
@@ -222,19 +219,17 @@ def _motion_refusal(p: Array, q: Array, seconds: float | None, config: OdometryC
 
 
 def _given(covariance: Array) -> _Rows:
-    """Rows whose variance is one, and not so large that it says "not given"."""
     variances, largest = covariance.diagonal(), np.repeat((_NOT_GIVEN_M2, _NOT_GIVEN_RAD2), _XYZ)
     return np.flatnonzero((variances >= 0.0) & (variances < largest))
 
 
 def _sigmas(config: OdometryConfig, length_m: float) -> Array:
-    """Of the white error of an increment of this length, (6,), m and rad."""
+    """White sigma of an increment of this length, (6,), m and rad."""
     position = math.hypot(config.position_sigma_m, config.position_share * length_m)
     return np.repeat((position, math.radians(config.attitude_sigma_deg)), _XYZ)
 
 
 def _lasting(topic: str, dp: Array, config: OdometryConfig) -> tuple[SlowError, ...]:
-    """The considered error, of variance 1 in each axis."""
     if not config.lasting_share:
         return ()
     moved = np.repeat((config.lasting_share * float(np.linalg.norm(dp)), 0.0), _XYZ)
@@ -251,7 +246,6 @@ def _scale(topic: str, dp: Array, config: OdometryConfig) -> tuple[SlowError, ..
 
 
 def _rig_errors(delta: OdometryDelta, config: OdometryConfig) -> tuple[SlowError, ...] | Refusal:
-    """What stays with the rig, as the increment tells, or a scale."""
     if delta.systematic is None:
         return _scale(delta.topic, np.array(delta.dp_b), config)
     moved = np.array(delta.systematic, dtype=float, order="C")
@@ -265,13 +259,13 @@ def _rig_errors(delta: OdometryDelta, config: OdometryConfig) -> tuple[SlowError
 def widened(
     aid: OdometryAid, z: RelativePose, reported: Array, spread_m: tuple[float, float]
 ) -> tuple[OdometryAid, RelativePose, tuple[float, float]]:
-    """An increment of cameras is no more certain than those before, but for what has faded.
+    """An increment of cameras, no more certain than recent ones.
 
-    With sigma^2 = tr C_p, and a and b the smallest and the largest sigma of late (spread_m; with this one's, which is returned):
+    sigma^2 = tr C_p; a, b: smallest and largest recent sigma (spread_m; returned updated):
 
         C <- f C,   f = (b / sigma)^2,   J_l J_l^T <- J_l J_l^T + f C  where b > 3 a
 
-    A scene of which a part moves slowly spoils all steps alike, in the same direction, and not every step shows it.
+    A slowly moving part of the scene spoils all steps alike, and not every step shows it.
     """
     sigma_m = math.sqrt(float(np.trace(reported[:_XYZ, :_XYZ])))
     least_m, most_m = min(spread_m[0], sigma_m), max(spread_m[1], sigma_m)
@@ -289,14 +283,14 @@ def widened(
 
 
 def spread_at(state: SourceState, t_ns: int) -> tuple[float, float]:
-    """What is left of spread_m at t_ns: both fade, apart from each other."""
+    """spread_m left at t_ns: both fade."""
     faded = math.exp(-max(t_ns - state.last_ns, 0) * 1e-9 / _FADES_S)
     least_m, most_m = state.spread_m
     return least_m / faded if faded > 0.0 else math.inf, most_m * faded
 
 
 def drifting(aid: OdometryAid, state: SourceState, seconds: float) -> OdometryAid:
-    """It carries a velocity by which it may be wrong, whatever is known of it, and as it was found to be (considered).
+    """Carries its possible velocity error, prior and found (considered).
 
     dp_measured = dp + d dt,   sigma_d^2 = _DRIFT_M_S^2 + d_k^2
     """
@@ -310,12 +304,12 @@ def _drift(topic: str) -> str:
 
 
 def slow_blocks(topic: str) -> tuple[str, str, str]:
-    """The blocks of errors that hold within an epoch."""
+    """Error blocks constant within an epoch."""
     return f"{topic}.lasting", f"{topic}.scale", _drift(topic)
 
 
 def jumped(kept: Kept, t_ns: int, pose: Array) -> tuple[float, Array | None]:
-    """How far this pose lies off the straight line through the two before it, m, 0 where a vehicle may; its velocity, m/s."""
+    """Distance from the line through the last two poses [m], 0 if plausible; velocity, m/s."""
     if kept.newest is None or t_ns <= kept.newest[0]:
         return 0.0, None
     since_ns, before, velocity = kept.newest
@@ -326,26 +320,25 @@ def jumped(kept: Kept, t_ns: int, pose: Array) -> tuple[float, Array | None]:
 
 
 def arrived(state: SourceState, rules: Rules, t_ns: int, *, alone: bool) -> SourceState:
-    """An increment of t_ns comes in; what it was found to be wrong by fades while positions come, and stays in an outage."""
+    """An increment arrives; its found error fades with positions, lasts in an outage."""
     spread_m, seconds = spread_at(state, t_ns), max(t_ns - state.last_ns, 0) * 1e-9
     drift = state.drift_m_s if alone else state.drift_m_s * math.exp(-seconds / _CLEARED_S)
     return replace(state.arrive(rules, t_ns, alone=alone), spread_m=spread_m, drift_m_s=drift if drift > _DRIFT_M_S else 0.0)
 
 
 def widest(state: SourceState, rules: Rules) -> float:
-    """How far off a component may be, in sigma: less while increments contradict the estimate alike.
+    """Allowed deviation per component, in sigma; less while increments contradict alike.
 
-    Without increments the covariance grows until it lets the next wrong one in, and from then on all.
+    The growing covariance would otherwise accept the next wrong one.
     """
     is_disputed = max(state.sums, default=0.0) > _DISPUTED
     return _DISPUTED_SIGMA if is_disputed else math.sqrt(gate(rules.gate_probability, 1))
 
 
 def judged(state: SourceState, *, alone: bool, passed: bool, off: Array, off_m_s: float) -> tuple[SourceState, bool]:
-    """The increment passed its gate or not; off (k,): its innovations in sigma; off_m_s: that of the translation, per second.
+    """The increment passed its gate or not; off (k,): innovations in sigma; off_m_s: translation, per second.
 
-    Also whether it contradicts the estimate for good: the sum of the innovations, which no single one can raise, is above its
-    limit. From then on its increments may be wrong by what it is off, d_k = max(d_k-1, |nu_p| / dt).
+    Also whether the innovations' sum exceeds its limit: then increments may be wrong by d_k = max(d_k-1, |nu_p| / dt).
     """
     if state.phase is Phase.STARTING:
         return replace(state, passed=state.passed + 1 if passed and not alone else 0), False

@@ -1,11 +1,11 @@
-"""Rest: zero velocity, zero rotation, and the heading as it was when the rest began.
+"""Rest: zero velocity and rotation, heading as at its start.
 
-The IMU finds it: for 3 s neither rate nor specific force has wandered. The estimate confirms it: its velocity has to be
-known, and zero within the gate, or a car on a smooth road, an aircraft in calm air or a ship would stand still. At rest
+The IMU shows it: no change for 3 s. The estimate confirms it, or a smooth road or calm air would pass: velocity known, and zero
+within the gate.
 
     0 = v + n_v,   w_mean = b_g + R_nb^T w_ie + n_w,   0 = psi - psi_0 + n_psi
 
-psi_0, the heading when the rest began, is estimated like the zero of a barometer: it has the errors that the estimate had then.
+psi_0, the initial heading, is estimated with the errors of that time.
 """
 
 import math

@@ -31,7 +31,7 @@ Stages = Callable[[float, str], None]  # share that is done, and the name of the
 
 
 class DemoResult(msgspec.Struct, frozen=True):
-    """What was written, and what came of it."""
+    """Files written and results."""
 
     folder: str
     log: str
@@ -159,7 +159,7 @@ def _report(folder: Path, without_odometry: Path | None, progress: Progress) -> 
 
 
 def carried_by(collected: Collected, span: tuple[int, int]) -> str:
-    """What the estimate rests on in an outage, for an image."""
+    """Mode in an outage, for a plot."""
     begin, end = span
     steps = any(a.kind == "odometry" and a.reason is Reason.FUSED and begin < a.t_ns <= end for a in collected.aids)
     return " no landmark\n in view:\n odometry" if steps else " lens dark:\n IMU alone"

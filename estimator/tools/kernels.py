@@ -128,7 +128,7 @@ PARTS: Final = (_seen_at_once, _flight, _drawing, _segmented, _searched)
 
 
 def each_tenth(title: str) -> Report:
-    """Progress on stderr where it is no terminal: a line a tenth."""
+    """Progress on stderr without a terminal: a line a tenth."""
     reached = -1
 
     def report(share: float, now: str = "") -> None:
@@ -141,7 +141,7 @@ def each_tenth(title: str) -> Report:
 
 
 def main() -> None:
-    """With progress on stderr, on a terminal one line that changes."""
+    """Compile, with progress on stderr."""
     if not sys.stderr.isatty():
         prepare(each_tenth("compiling"))
         return

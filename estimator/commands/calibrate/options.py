@@ -50,7 +50,7 @@ ReportFile = Annotated[
 
 
 def board_of(size: str, square_mm: float, marker_mm: float, dictionary: str) -> "Board":
-    """The board that the options describe."""
+    """The board of the options."""
     from calib.board.chessboard import Board
 
     try:

@@ -29,10 +29,10 @@ _NOTHING_KEPT = "landfix: interrupted; nothing was written"
 
 
 class Reported(Protocol):
-    """What a bar is called with."""
+    """Callback of a progress bar."""
 
     def __call__(self, fraction: float, now: str = "") -> None:
-        """Share that is done, and what is done now."""
+        """Fraction done, current step."""
 
 
 @contextmanager

@@ -71,7 +71,7 @@ class Shots(NamedTuple):
 
 
 def numbers(text: str, count: int, option: str, example: str) -> list[float]:
-    """So many numbers with commas between. Raises BadParameter."""
+    """`count` numbers separated by commas. Raises BadParameter."""
     try:
         found = [float(x) for x in text.split(",")]
     except ValueError:

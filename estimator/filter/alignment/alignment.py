@@ -93,14 +93,14 @@ class Alignment:
 
     @property
     def bank(self) -> Hypotheses | None:
-        """The filters there are, aligned or not."""
+        """All filters, aligned or not."""
         if self.core.hypotheses is not None or self.resting is None:  # nearly every call
             return self.core.hypotheses
         return self.resting.bank
 
     @property
     def members(self) -> list[Hypothesis]:
-        """Every filter there is, those without the sensor of the heading too."""
+        """All filters, also those without the heading sensor."""
         bank, beside = self.bank, self.without_sensor
         members = bank.members if bank is not None else []
         return members if beside is None else members + beside.bank.members
@@ -154,7 +154,7 @@ class Alignment:
         return Decision(Reason.ALIGNING, detail=NO_POSITION)
 
     def note_course(self, z: Velocity, samples: ImuBuffer) -> None:
-        """The course is a prior where nobody gives a better one."""
+        """Use the course as a prior if there is no better one."""
         core = self.core
         stretch = core.recent(samples) if core.config.initialise.course_sigma_deg else None
         if stretch is None or (self.prior is not None and core.t_ns - self.prior[0] <= _FRESH_NS):
@@ -255,7 +255,7 @@ class Alignment:
         return aid.topic != self.begun_by and aid.topic in self.core.conflicts.apart
 
     def begin_again(self) -> None:
-        """What there is rests on readings that are wrong."""
+        """Align anew: the state rests on wrong readings."""
         core = self.core
         core.hypotheses, core.stretch, self.still, core.is_aligned, self.without_sensor = None, None, None, False, None
         self.contradiction, core.conflicts = NO_CONTRADICTION, Conflicts()

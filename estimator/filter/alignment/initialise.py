@@ -165,7 +165,7 @@ def agrees(bank: Hypotheses, prior: Pose) -> bool:
 
 
 def heading_unknown(t_ns: int, z: Position | Pose, at: Level, constants: Array, config: InitialiseConfig) -> Eskf:
-    """What is known at a position fix, without favour for any heading."""
+    """State at a position fix, heading unknown."""
     return _levelled(t_ns, z, at, 0.0, 2.0 * math.pi, constants, config)
 
 
@@ -243,7 +243,7 @@ def lacks_attitude_alone(bank: Hypotheses, config: InitialiseConfig) -> bool:
 
 
 def lacks(bank: Hypotheses, config: InitialiseConfig) -> str:
-    """What keeps it from being aligned, in words."""
+    """What it lacks for alignment, in words."""
     attitude, velocity = _sigmas(bank)
     missing = []
     if attitude > math.radians(_ANY_HEADING_DEG):

@@ -1,4 +1,4 @@
-"""Several filters side by side, for what is not decided yet. May import estimator.filter.eskf and what is below it."""
+"""Filters side by side for undecided questions. May import estimator.filter.eskf and what is below it."""
 
 from estimator.filter.hypotheses.hypotheses import Hypotheses, Verdict
 from estimator.filter.hypotheses.hypothesis import Doubt, Hypothesis

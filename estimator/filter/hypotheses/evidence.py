@@ -1,9 +1,9 @@
-"""What a reading says to each hypothesis: it is true, false, or the last false one again.
+"""Likelihood of a reading for each hypothesis: true, false, or the last false one again.
 
     again_k = ln (sum w_j N(nu_j; 0, S_j) / sum w_j) - dt / tau_k
 
-j: the hypotheses that take it for true. They predict the next false reading too, each with its weight: so one that took the last
-reading for false never gains on them.
+j: the hypotheses that take it for true. They predict the next false reading too, so one that rejected the last never gains on
+them.
 """
 
 import math
@@ -20,11 +20,10 @@ _NOISIER = 256.0  # times the variance that a source claims
 
 
 class Evidence(NamedTuple):
-    """Of one reading, by hypothesis: seen; passed: inside the gate; again: see above, None where the last reading was not false.
+    """One reading, by hypothesis: seen; passed: inside the gate; again: see above, None after a reading that was not false.
 
-    doubted: weight of the heaviest one that goes on without the source deliberately, with this reading, -inf without any;
-    by_receiver: ln of the density of a velocity to those that take its receiver's positions for true, -inf without any, or where
-    all do.
+    doubted: weight of the heaviest one that leaves the source out deliberately; by_receiver: ln density of a velocity to those
+    that follow its receiver's positions, -inf without any, or where all do.
     """
 
     aid: Aid
@@ -36,7 +35,7 @@ class Evidence(NamedTuple):
 
 
 def weighed(members: list[Hypothesis], aid: Aid, seen: list[Innovation], passed: list[bool], again_s: float) -> Evidence:
-    """The evidence of a reading; again_s: tau of a position that the leading hypothesis refuses."""
+    """Evidence of a reading; again_s: tau of a position the leading hypothesis refuses."""
     if not any(m.doubts for m in members):  # most of the time
         return Evidence(aid, seen, passed, [None] * len(members), -math.inf, -math.inf)
     again = _again(members, aid, seen, passed, again_s)
@@ -55,13 +54,13 @@ def weighed(members: list[Hypothesis], aid: Aid, seen: list[Innovation], passed:
 
 
 def noisier(aid: Aid, seen: Innovation) -> float:
-    """ln of the density of a reading whose source is noisier than it claims: e N(nu; 0, S + (n - 1) R)."""
+    """ln density of a source noisier than claimed: e N(nu; 0, S + (n - 1) R)."""
     distance2, logdet = mahalanobis(seen.nu, seen.s + (_NOISIER - 1.0) * seen.noise)
     return math.log(aid.rules.false_share) - 0.5 * (distance2 + logdet + len(seen.nu) * math.log(2.0 * math.pi))
 
 
 def _again(members: list[Hypothesis], aid: Aid, seen: list[Innovation], passed: list[bool], again_s: float) -> list[float | None]:
-    """No hypothesis is made about a reading that is not absolute, so there those predict too that take it for true again."""
+    """A reading that is not absolute founds no hypothesis: those that take it for true again predict too."""
     doubts = [m.doubts.get(aid.topic) for m in members]
     if not any(doubts):  # most of the time
         return [None] * len(doubts)
@@ -84,7 +83,7 @@ def _again(members: list[Hypothesis], aid: Aid, seen: list[Innovation], passed: 
 
 
 def _predicted(members: list[Hypothesis], by: list[int], seen: list[Innovation]) -> float:
-    """ln of a reading's density to the hypotheses `by`: sum of w_j N(nu_j; 0, S_j) / sum of w_j; -inf without any."""
+    """ln density of a reading to the hypotheses `by`: sum of w_j N(nu_j; 0, S_j) / sum of w_j; -inf without any."""
     if not by:
         return -math.inf
     weights = [members[j].weight for j in by]

@@ -1,8 +1,8 @@
-"""Followers: one begins at a fix that nobody predicts, because the filter may have gone wrong.
+"""Followers: one begins at a fix that no hypothesis predicts, because the filter may be wrong.
 
-The IMU was wrong since the last fix, or the estimate stands elsewhere. A follower takes every fix that the last one of its own
-predicts, so consistent fixes are never locked out: they win when they are more than those of the leading hypothesis by three
-(hypothesis.holds_s). Once a follower leads, the IMU is right again by a branch that its next fixes confirm.
+It assumes that the IMU was wrong since the last fix, or the estimate elsewhere, and takes every fix that its last one predicts.
+Consistent fixes win when they are three more than those of the leading hypothesis (hypothesis.holds_s). Once it leads, the IMU is
+taken for right again by a branch that its next fixes confirm.
 """
 
 import math
@@ -29,10 +29,10 @@ _FEW = 3  # fixes of a follower, too few to decide
 
 
 def begin(lead: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, limit: float, *, vouched: bool) -> Hypothesis | None:
-    """A copy of the leading hypothesis that fuses the fix, as if that one had gone wrong since its last; weight: relative to it.
+    """A copy of the leading hypothesis that fuses the fix; weight: relative to it.
 
-    By the IMU: P <- P + Q(dt) of an unknown motion, which goes on. Where that does not explain the fix: the estimate stands
-    elsewhere, with the motion that it had, P_pp <- P_pp + nu_p nu_p^T; the same for the attitude.
+    IMU wrong: P <- P + Q(dt) of a continuing unknown motion. Where that does not explain the fix: P_pp <- P_pp + nu_p nu_p^T,
+    same motion; likewise the attitude.
     """
     other = lead.copy()
     other.without, other.doubts = "", {}
@@ -63,10 +63,10 @@ def begin(lead: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, limit: floa
 
 
 def behind(lead: Hypothesis, aid: Aid, *, vouched: bool, by_imu: bool) -> float:
-    """ln of the weight with which what contradicts the leading hypothesis begins, relative to it.
+    """ln weight of a contradiction's start, relative to the leading hypothesis.
 
-    margin - max(t / AGAIN_S, t' / again_s), by the times t that the leading one holds, t' its confirmed run. Refused fixes
-    make it up at 1 / again_s: a slower pace begins no nearer.
+    margin - max(t / AGAIN_S, t' / again_s): t that the leading one holds, t' its confirmed run; refused fixes make it up at 1 /
+    again_s.
     """
     holds_s = confirmed_s = lead.holds_s(aid.t_ns, imu_may_be_wrong=by_imu)
     pace_s = again_s(lead, aid, vouched=vouched)
@@ -76,9 +76,9 @@ def behind(lead: Hypothesis, aid: Aid, *, vouched: bool, by_imu: bool) -> float:
 
 
 def again_s(lead: Hypothesis, aid: Aid, *, vouched: bool) -> float:
-    """The leading hypothesis loses 1 / this, ln, in a second of fixes that it refuses.
+    """The leading hypothesis loses 1 / this, ln, per second of refused fixes.
 
-    The longest where another source confirms it; longer for a receiver, whose readings share their error, than for fixes.
+    Longest where another source confirms it; longer for a receiver, whose errors are correlated, than for fixes.
     """
     own = f"{aid.topic}/"  # velocities of the same receiver
     others = any(topic != aid.topic and not topic.startswith(own) for topic in lead.doubts)
@@ -88,7 +88,7 @@ def again_s(lead: Hypothesis, aid: Aid, *, vouched: bool) -> float:
 
 
 def raise_alternative(members: list[Hypothesis], aid: Aid, fused: list[bool], *, vouched: bool) -> None:
-    """The leading hypothesis begins to reject fixes that another one fuses: that one gets at least a follower's weight."""
+    """Give a follower's weight at least to a hypothesis that fuses what the leading one begins to reject."""
     lead = members[0]
     others = [m for m, was_fused in zip(members, fused, strict=True) if was_fused and not m.without]
     if others:
@@ -97,12 +97,12 @@ def raise_alternative(members: list[Hypothesis], aid: Aid, fused: list[bool], *,
 
 
 def is_new(member: Hypothesis) -> bool:
-    """It takes the IMU for wrong, and has not fused enough to decide."""
+    """It takes the IMU for wrong, and has not fused enough."""
     return member.doubts_imu and member.run <= _FEW
 
 
 def with_imu_right(lead: Hypothesis, t_ns: int) -> Hypothesis:
-    """The leading hypothesis takes the IMU for wrong: from its newest fix on another one takes it for right again."""
+    """Branch from the newest fix of a leader that takes the IMU for wrong: right again."""
     assert lead.right is not None
     other = lead.copy()
     other.adopt(lead.right, doubts_imu=False)

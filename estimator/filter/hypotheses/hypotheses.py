@@ -1,10 +1,6 @@
-"""Which measurements are true? A few filters side by side, each with its own answer, weighed by the evidence.
+"""Filters side by side, each with its own answer which measurements are true (docs/decision.md).
 
-One filter with a gate cannot separate a false fix after an outage, when almost anything passes, from the true ones that
-contradict it later: it keeps the false one and locks the true ones out. So the decision stays open while it is open:
-
-* a fix is fused although a false reading would explain it nearly as well (as after an outage): a *sceptic* goes on without it,
-  and without whatever agrees with it;
+* a fix is fused although a false reading explains it nearly as well: a *sceptic* goes on without it and all that agrees with it;
 * a fix fails the gate, and no hypothesis that fused the last one predicts it: a *follower* goes on with it;
 * a receiver may be misled for long: one goes on *without* it (left_out.py).
 
@@ -12,22 +8,11 @@ contradict it later: it keeps the false one and locks the true ones out. So the 
     false again, and in agreement with the last false one:      w <- w - dt / tau + ln (sum w_j N(nu; 0, S_j) / sum w_j)
     (of a position at least the density of a noisier source:    w <- w + ln(e N(nu; 0, S + 255 R)))
 
-j: the hypotheses that take the source for true; e: the share of false readings, u: their uniform density; tau: how long a fault
-that repeats itself lasts, of positions that the leading hypothesis alone refuses AGAIN_S (of a receiver _RECEIVER_S). The leading
-hypothesis is the estimate; another takes over when its weight is larger by a margin. By the same margin a velocity
-must be better predicted as the last false one than as true, where only a gate spoke against it; a fix inside the gate is
-true.
-
-A false fix that was sought where the vehicle was expected fits well too. So in the covariance, though not in the decision, a
-sceptic begins with the weight e at least, and loses twice dt / tau: after an outage the first fixes are published with the chance
-that they are a look-alike, until that is less than 1 in 10,000: 500 m with a chance of 1 in a million make no ellipsoid of use.
-
-Readings of a receiver are no evidence for or against the hypothesis without it. Each fix may raise that one by ln 1/e at most;
-its weight stays above ln(1 - trust). A fix that a hypothesis takes and the leading one refuses is a conflict of sources: both
-count alike in the covariance until it is decided, and once decided it is not open again while other sources confirm the leading
-one.
-
-(Multiple hypothesis tracking; Blackman and Popoli 1999, ch. 16.)
+j: hypotheses that take the source for true; e, u: share and uniform density of false readings; tau: duration of a repeated fault.
+The leading hypothesis is the estimate; another takes over by a margin. In the covariance, not in the decision, a sceptic begins
+with weight e at least and loses 2 dt / tau. Readings of a receiver are no evidence about the hypothesis without it; a fix raises
+that one by ln 1/e at most, and its weight stays above ln(1 - trust). A fix that a hypothesis takes and the leading one refuses is
+a conflict: both count alike in the covariance until decided. (Blackman and Popoli 1999, ch. 16.)
 """
 
 import math
@@ -57,7 +42,7 @@ _TINY = 1e-9
 
 
 class Verdict(NamedTuple):
-    """What the leading hypothesis made of a measurement; explained: a new follower fused what it refused."""
+    """The leading hypothesis' answer; explained: a new follower fused what it refused."""
 
     seen: Innovation
     gate: float
@@ -67,9 +52,9 @@ class Verdict(NamedTuple):
 
 
 class Hypotheses:
-    """The filters that are still in question; the first is the estimate.
+    """The filters in question; the first is the estimate.
 
-    switches: how often another one took over; conflict_ns: since when sources are in conflict; disputed: the rejected ones.
+    switches: changes of the leading one; conflict_ns: start of a conflict of sources; disputed: those it rejects.
     """
 
     __slots__ = ("conflict_ns", "disputed", "members", "switches")
@@ -90,16 +75,16 @@ class Hypotheses:
 
     @property
     def lead(self) -> Eskf:
-        """The filter that is the estimate."""
+        """The estimate's filter."""
         return self.members[0].filter
 
     def covariance(self) -> Array:
-        """Of the leading state's error, (15, 15), with all hypotheses that are likely enough."""
+        """Of the leading state's error, (15, 15), over all likely hypotheses."""
         return covariance(self.members)
 
     @property
     def conflict(self) -> tuple[frozenset[str], float] | None:
-        """Topics that the leading hypothesis rejects and another one, in the covariance, does not; their distance [m]."""
+        """Topics that only the leading hypothesis rejects, and their distance [m]."""
         lead, rejected = self.members[0], self.members[0].rejected
         for member in self.members[1:]:
             if member.benefit > 0.0 and (topics := rejected - member.doubts.keys()):
@@ -109,7 +94,7 @@ class Hypotheses:
 
     @property
     def weights(self) -> dict[str, float]:
-        """ln of the weight in the covariance, relative to the leading one, of the likeliest hypothesis for each assumption."""
+        """ln weight in the covariance of the likeliest hypothesis for each assumption."""
         found: dict[str, float] = {}
         for member in self.members[1:]:
             found[member.assumes] = max(found.get(member.assumes, -math.inf), member.weight + member.benefit)
@@ -127,9 +112,9 @@ class Hypotheses:
                 member.filter.forget(block)
 
     def judge(self, aid: Aid, z: Measurement, gyro_b: Array, *, trusted: bool, vouched: bool = False) -> Verdict:
-        """Let every hypothesis answer a measurement.
+        """Let every hypothesis judge a measurement.
 
-        trusted: the source's machine lets it be fused; vouched: another source has given positions lately.
+        trusted: the source's machine permits fusion; vouched: another source gave positions lately.
         """
         limit = gate(aid.rules.gate_probability, len(z.rows))
         seen = [innovation(m.filter, aid, z, gyro_b) for m in self.members]
@@ -170,18 +155,17 @@ class Hypotheses:
         return Verdict(seen[0], limit, passed[0], fused[0], explained)
 
     def _is_predicted(self, aid: Aid, passed: list[bool]) -> bool:
-        """The leading hypothesis predicts the fix, or one that fused the last fix of its source."""
         return passed[0] or any(p and aid.topic not in m.doubts for p, m in zip(passed, self.members, strict=True))
 
     def _answers(self, e: Evidence, born: list[Hypothesis], *, set_aside: bool) -> list[bool]:
-        """Let every hypothesis answer, and say which fuse; one without the source gains what the leading one gains.
+        """Answers of all hypotheses, and which fuse; one without the source gains what the leading one gains.
 
-        set_aside: the leading one goes on without the receiver of this reading; born: takes the sceptics.
+        set_aside: the leading one leaves this receiver out; born: receives the sceptics.
         """
         aid, fused = e.aid, [False] * len(e.seen)
 
         def answer(k: int) -> float:
-            """What hypothesis k gains."""
+            """Gain of hypothesis k."""
             member, before = self.members[k], self.members[k].weight
             fused[k] = self._answer(k, e, born, lead_refuses=k > 0 and not fused[0])
             return member.weight - before
@@ -207,7 +191,6 @@ class Hypotheses:
         return fused
 
     def _limit(self, k: int, aid: Aid, gained: dict[int, float], fused: list[bool]) -> None:
-        """What a fix may add to a hypothesis k without a receiver; where the leading one refuses it, there is a conflict."""
         member = self.members[k]
         if k == 0 or not member.without or not aid.absolute:
             return
@@ -215,7 +198,7 @@ class Hypotheses:
         member.benefit = float(not fused[0] and (fused[k] or bool(member.benefit)) and not self._is_decided(aid))
 
     def leave(self, topic: str) -> None:
-        """The receiver has been found out: the hypothesis without it leads, where there is one."""
+        """The receiver is found wrong: the hypothesis without it leads, if any."""
         for member in self.members[1:]:
             if member.without == topic and not member.begun_at_fix and not member.rejected - {topic}:
                 self.members.remove(member)
@@ -226,19 +209,19 @@ class Hypotheses:
                 return
 
     def cover(self, topic: str) -> None:
-        """The receiver contradicts the estimate for long: the hypothesis without it counts alike until a fix decides."""
+        """The receiver contradicts for long: the hypothesis without it counts alike until a fix decides."""
         for member in self.members[1:]:
             if member.without == topic and member.weight > -FORGET and not member.benefit:
                 member.benefit = -member.weight
 
     def weigh(self, t_ns: int, gained: list[float]) -> None:
-        """What only tells the hypotheses apart: w_k <- w_k + gained_k (ln); the heaviest leads."""
+        """w_k <- w_k + gained_k (ln); the heaviest leads."""
         for member, more in zip(self.members, gained, strict=True):
             member.weight += more
         self._rank(t_ns)
 
     def drop(self, is_impossible: Callable[[Hypothesis], bool]) -> None:
-        """Drop what no vehicle can be, but never the last hypothesis; the heaviest that is left leads."""
+        """Drop impossible states, but never the last hypothesis; the heaviest left leads."""
         if len(self.members) == 1:  # most of the time
             return
         possible = [m for m in self.members if not is_impossible(m)]
@@ -253,9 +236,9 @@ class Hypotheses:
         self.members = possible
 
     def _answer(self, k: int, e: Evidence, born: list[Hypothesis], *, lead_refuses: bool) -> bool:
-        """Hypothesis k takes the measurement for true (and fuses it), for false, or for the last falsehood again.
+        """Hypothesis k takes the measurement for true (and fuses it), for false, or for the last false one again.
 
-        born: takes the sceptic; lead_refuses: the leading hypothesis took it for false.
+        born: receives the sceptic; lead_refuses: the leading one took it for false.
         """
         aid, seen, passed, again = e.aid, e.seen[k], e.passed[k], e.again[k]
         member, doubt = self.members[k], self.members[k].doubts.get(aid.topic)
@@ -299,9 +282,9 @@ class Hypotheses:
         return False
 
     def _rank(self, t_ns: int, newborn: Hypothesis | None = None) -> None:
-        """Let the heaviest lead if its margin is enough; drop those that are far behind or no longer differ.
+        """Let the heaviest lead by a margin; drop those far behind or no longer different.
 
-        Where there are too many, a new follower replaces the least likely one, because all others have rejected the fix.
+        Of too many, a new follower replaces the least likely: all others rejected the fix.
         """
         if len(self.members) == 1:  # most of the time
             self.members[0].weight = 0.0
@@ -331,7 +314,6 @@ class Hypotheses:
         self._note_conflict(t_ns)
 
     def _note_conflict(self, t_ns: int) -> None:
-        """A conflict begins, goes on or is decided."""
         if (found := self.conflict) is None:
             self.members[0].decided |= self.disputed
             self.conflict_ns, self.disputed = None, frozenset()
@@ -339,6 +321,5 @@ class Hypotheses:
             self.conflict_ns, self.disputed = self.conflict_ns or t_ns, found[0]
 
     def _is_decided(self, aid: Aid) -> bool:
-        """The leading hypothesis has won against this source, and other ones still confirm it: it is not in question again."""
         lead = self.members[0]
         return aid.topic in lead.decided and (aid.t_ns - lead.fused_ns) * 1e-9 < LEFT_OUT_S

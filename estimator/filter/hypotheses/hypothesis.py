@@ -22,7 +22,7 @@ _PERIOD_S = 2.0  # between fixes, where it is not known
 
 
 class Doubt(msgspec.Struct):
-    """A hypothesis takes a source for false: since the fix at last_ns at least; deliberate: though the fix passed the gate."""
+    """A source taken for false since last_ns; deliberate: although the fix passed the gate."""
 
     last_ns: int
     deliberate: bool
@@ -31,14 +31,11 @@ class Doubt(msgspec.Struct):
 class Hypothesis(msgspec.Struct, eq=False):
     """One filter and the logarithm of its weight.
 
-    fused_ns: when it last fused a position; run, run_ns: how many it has fused without a long break, and since when; parted_ns:
-    when it last differed from the leading one; doubts: what it takes for false, by topic; benefit: ln, of the doubt that a
-    sceptic stands for: it counts for so much more in the covariance than in the decision; without: the topic of the receiver that
-    it leaves out for good; least: ln, below which its weight does not fall, for that receiver may be misled at any time; decided:
-    topics that it rejects since a conflict that it has won; receiver: the last one that it fused, and ln(1 - trust) of it;
-    begun_at_fix: and nothing has confirmed it yet; refuted_ns: when one such was last refuted; agreed_ns: since when the
-    positions of the receiver that it leaves out pass its gate; right: the constants of an IMU that is right, where
-    it takes the IMU for wrong.
+    fused_ns: last fused position; run, run_ns: number fused without a long break, since when; parted_ns: last difference from the
+    leading one; doubts: false sources by topic; benefit: ln, added weight of a sceptic in the covariance; without: receiver left
+    out for good; least: ln, lower bound of the weight; decided: topics rejected since a won conflict; receiver: last fused, and
+    its ln(1 - trust); begun_at_fix: unconfirmed; refuted_ns: last refutation of such; agreed_ns: since when the omitted receiver
+    passes; right: constants of a right IMU, where it is taken for wrong.
     """
 
     filter: Eskf
@@ -69,7 +66,7 @@ class Hypothesis(msgspec.Struct, eq=False):
         return self.right is not None
 
     def adopt(self, constants: Array, *, doubts_imu: bool) -> None:
-        """The constants of the motion, which are others where the IMU is taken for wrong."""
+        """Constants of the motion, others where the IMU is taken for wrong."""
         self.right = constants if doubts_imu else None
         self.filter.constants = imu.in_doubt(constants) if doubts_imu else constants
 
@@ -82,12 +79,12 @@ class Hypothesis(msgspec.Struct, eq=False):
 
     @property
     def rejected(self) -> set[str]:
-        """Topics whose last reading was false to it, or that it leaves out."""
+        """Topics whose last reading was false, or that it leaves out."""
         return {topic for topic, doubt in self.doubts.items() if not doubt.deliberate or topic == self.without}
 
     @property
     def assumes(self) -> str:
-        """What is wrong if it is right."""
+        """Its assumption: what is wrong if it is right."""
         if self.without:
             return RECEIVER_WRONG
         if self.doubts_imu:
@@ -99,19 +96,19 @@ class Hypothesis(msgspec.Struct, eq=False):
         return self.weight > lead.weight - FORGET or self.shows_beside(lead)
 
     def shows_beside(self, lead: "Hypothesis") -> bool:
-        """It is likely enough to be in the covariance."""
+        """Likely enough for the covariance."""
         if self.without and not self.benefit:
             return False
         return self.weight + self.benefit > lead.weight - _SHOWS
 
     def has_settled(self, t_ns: int) -> bool:
-        """It has agreed with the leading hypothesis for so long that there is no question any more."""
+        """It has agreed with the leading hypothesis long enough to be dropped."""
         return (t_ns - self.parted_ns) * 1e-9 >= _SETTLED_S
 
     def holds_s(self, t_ns: int, *, imu_may_be_wrong: bool) -> float:
-        """For how long consistent fixes that it refuses, the first at t_ns, have to last until they win.
+        """Duration after which consistent refused fixes win, the first at t_ns.
 
-        A run is decided by a longer one: its length and three fixes more. An error that a wrong IMU makes needs the three alone.
+        Its run and three fixes more; the three alone against an error of a wrong IMU.
         """
         run_s = (self.fused_ns - self.run_ns) * 1e-9
         period_s = min((t_ns - self.fused_ns) * 1e-9, run_s / (self.run - 1) if self.run > 1 else _PERIOD_S)

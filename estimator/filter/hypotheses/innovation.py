@@ -12,7 +12,7 @@ MOST_OF_A_KIND = 8  # slow errors of landmarks at a time
 
 
 def clone_of(topic: str) -> str:
-    """The block of the pose that is kept for an odometry."""
+    """Block of the pose kept for an odometry."""
     return f"{topic}.kept"
 
 

@@ -1,16 +1,8 @@
-"""Hypotheses without a receiver: one goes on without GNSS, which may be misled for minutes by an error that all readings share.
+"""Hypotheses without a receiver, which may be misled for minutes by an error of all readings (docs/decision.md).
 
-It takes no reading of the receiver. With each fix that the leading hypothesis predicts better it begins again as that one, so
-that it is never older than the last confirmation. Where no hypothesis takes a fix, one begins at the fix, for the receiver may
-have been misled from the start. Until the next fix both count alike in the covariance. It is dropped when that one does not
-follow, for fixes in a wrong unit are no evidence.
-
-Where the leading hypothesis refuses the velocities of the receiver for long, the filter or the receiver has gone wrong, and both
-count alike in the covariance until a fix decides.
-
-A receiver that was left has no say until its positions agree again: without a fix for 10 s the first one that passes the gate,
-else 10 s of them. Its velocities have none before its positions.
-(Solution separation: Blanch et al., Baseline advanced RAIM user algorithm, 2015, sec. IV.)
+Replaced by a copy of the leading hypothesis at each fix that this one predicts better; one begins at a fix that no hypothesis
+takes, and is dropped where the next does not follow (wrong unit). An omitted receiver returns once its positions agree, its
+velocities not before. (Solution separation: Blanch et al. 2015, sec. IV.)
 """
 
 import numpy as np
@@ -30,7 +22,7 @@ _AGREED_S = 10.0  # of positions that pass the gate, after which a receiver is f
 
 
 def add(members: list[Hypothesis], aid: Aid) -> bool:
-    """Whether from now on a hypothesis goes on without the receiver of this fix."""
+    """Whether a hypothesis without this fix' receiver is added."""
     lead = members[0]
     if aid.log_misled is None or lead.doubts or any(m.without == aid.topic for m in members):
         return False
@@ -40,7 +32,7 @@ def add(members: list[Hypothesis], aid: Aid) -> bool:
 
 
 def add_at_fix(members: list[Hypothesis], at_fix: Hypothesis, aid: Aid) -> None:
-    """A fix that no hypothesis takes may be true, and the receiver misled from the start: one goes on without it."""
+    """Add one without the receiver, perhaps misled from the start, at a fix that none takes."""
     receiver = members[0].receiver
     if receiver is None or aid.log_misled is not None or any(m.without == receiver[0] for m in members):
         return
@@ -51,9 +43,9 @@ def add_at_fix(members: list[Hypothesis], at_fix: Hypothesis, aid: Aid) -> None:
 
 
 def moved(lead: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, seen: Innovation) -> Hypothesis:
-    """The leading hypothesis at the fix, with the motion that it had, but for a pull: P_pp += |nu|^2 I, P_vv += sigma^2 I.
+    """The leading hypothesis moved to the fix with its own motion but for a pull: P_pp += |nu|^2 I, P_vv += sigma^2 I.
 
-    So fixes in a wrong unit, whose motion is another, do not follow from one another. seen: the fix from the leading one.
+    So fixes in a wrong unit do not predict one another. seen: the fix from the leading one.
     """
     other = lead.copy()
     cov = other.filter.cov
@@ -67,7 +59,6 @@ def moved(lead: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, seen: Innov
 
 
 def _without(hypothesis: Hypothesis, topic: str, log_misled: float, t_ns: int) -> Hypothesis:
-    """As it is, but without the receiver."""
     other = hypothesis.copy()
     other.weight = other.least = log_misled
     other.without, other.parted_ns = topic, t_ns
@@ -76,15 +67,15 @@ def _without(hypothesis: Hypothesis, topic: str, log_misled: float, t_ns: int) -
 
 
 def is_confirmed(lead: Hypothesis, aid: Aid) -> bool:
-    """The leading hypothesis goes on without the receiver of this reading, and fixes confirm it: the receiver has no say."""
+    """The leading hypothesis leaves this receiver out, and fixes confirm it."""
     aided = (aid.t_ns - lead.fused_ns) * 1e-9 <= _UNAIDED_S
     return lead.without == aid.witness and aided and not lead.rejected - {lead.without}
 
 
 def end(lead: Hypothesis, aid: Aid, *, passed: bool) -> None:
-    """The leading hypothesis follows the receiver again when its positions have passed the gate for a while, without a break.
+    """Use the receiver again once its positions pass the leading hypothesis' gate without a break.
 
-    Where nothing else confirms it, the first one is enough.
+    The first suffices where nothing else confirms it.
     """
     if not aid.absolute or lead.without != aid.topic:
         return
@@ -99,9 +90,9 @@ def end(lead: Hypothesis, aid: Aid, *, passed: bool) -> None:
 def begin_again(
     members: list[Hypothesis], aid: Aid, fused: list[bool], at_fix: Hypothesis | None, seen: list[Innovation]
 ) -> None:
-    """After a fix of another source: as the leading one where that fused and predicted it better, or where this one refused it.
+    """After another source's fix, begin again as the leading one where that predicted it better, or this one refused it.
 
-    Where all refused it: at the fix. fused, seen: by and from each member; at_fix: see moved().
+    Where all refused it: at the fix. fused, seen: by member; at_fix: see moved().
     """
     right = members[0] if fused[0] else at_fix
     if not aid.absolute:

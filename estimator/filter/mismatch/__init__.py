@@ -1,4 +1,4 @@
-"""Where the world differs from the configuration: what innovations and paths show. May import hypotheses and what is below."""
+"""Differences of world and configuration, from innovations and paths. May import hypotheses and what is below."""
 
 from estimator.filter.mismatch import delay
 from estimator.filter.mismatch.bias_walk import BiasWalk

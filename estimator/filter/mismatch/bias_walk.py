@@ -1,16 +1,10 @@
-"""How fast the biases of the IMU walk: warm-up, a temperature ramp, a scale that is off, vibration that comes and goes.
-
-The innovations of a filter that is right are white, and of the size of their covariance (Kailath 1968). Where those of a source
-are larger and have a mean, the filter is wrong about the motion, not the source about its noise. With z = nu / sigma, (dof,):
+"""Bias walk of the IMU beyond its configuration (docs/decision.md), with z = nu / sigma, (dof,):
 
     e <- e + a (nu^T S^-1 nu / dof - e),   m <- m + a (z - m)
     wrong where e1 < e < e2 and |m|^2 (2 - a) / a > e chi2_99.5(dof);  surely wrong where beyond e chi2_99.99(dof)
 
-Then the variance that the biases gain per second is taken as ten times larger, a hundred times where it is surely wrong or has
-been two seconds before; afterwards it comes back. What they gain is added for the last seconds too, of which the averages are.
-A source of too small a covariance has large innovations, but without a mean; very large ones say nothing of the motion.
-(Mehra, Approaches to adaptive filtering, 1972; covariance inflation as in Sage and Husa 1969. Variance of m: that of an
-exponentially weighted mean, Roberts 1959.)
+Then the bias variance per second grows tenfold, a hundredfold where surely wrong or wrong two seconds before, also for the
+averages' last seconds. (Kailath 1968; Mehra 1972; Sage and Husa 1969; Roberts 1959.)
 """
 
 import math
@@ -52,13 +46,13 @@ class Whiteness(NamedTuple):
         return Whiteness(self.size + _SHARE * (size - self.size), mean)
 
     def is_wrong(self, probability: float) -> bool:
-        """Whether they show that the motion is wrong; white ones do with 1 - probability."""
+        """Whether they show a wrong motion; white ones do with 1 - probability."""
         squared = sum(m * m for m in self.mean) * (2.0 - _SHARE) / _SHARE
         return _LARGER < self.size < _NOISE and squared > self.size * gate(probability, len(self.mean))
 
 
 class BiasWalk(NamedTuple):
-    """The innovations by topic, and what the variance per second is multiplied by, since t_ns."""
+    """Innovations by topic, and the factor on the variance per second, since t_ns."""
 
     sources: tuple[tuple[str, Whiteness], ...] = ()
     factor: float = 1.0
@@ -87,7 +81,7 @@ class BiasWalk(NamedTuple):
         return replace(noise, gyro_walk=gyro, accel_walk=accel)
 
     def walked(self, before: "BiasWalk", noise: ImuNoise) -> Array:
-        """Sigma (6,) of what the biases have walked beyond `before`, over the time that the averages look back."""
+        """Sigma (6,) of the walk beyond `before`, over the averages' time."""
         now, then = self.of_noise(noise), before.of_noise(noise)
         gyro, accel = now.gyro_walk**2 - then.gyro_walk**2, now.accel_walk**2 - then.accel_walk**2
         sigmas: Array = np.sqrt(_MEMORY_S * np.maximum(np.repeat((gyro, accel), 3), 0.0))

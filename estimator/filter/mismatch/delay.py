@@ -1,21 +1,12 @@
-"""The delay of a source that the configuration does not know: found in its innovations, then estimated with its sigma.
+"""An unconfigured delay tau of a source: detected in its innovations, then estimated (docs/decision.md).
 
-A reading is valid tau before its stamp:  z = h(x(t - tau)) + v = h(x(t)) + J tau + v,   J = - d h / d t:
-
+    z = h(x(t - tau)) + v = h(x(t)) + J tau + v,   J = - d h / d t
     position  J = -(v + R_nb (w x l))        velocity  J = -(R_nb f + g)        attitude  J = -R_nb w
-
-The filter counts on tau = 0, and what it makes of earlier readings depends on tau, too. So tau is a considered error, of a sigma
-s0 that is too small to matter. Its covariance with the innovation shows how much that depends on it. The scores of a minute are
-summed (Rao 1948; the bias filter of Friedland 1969):
-
     J' = E[nu tau] / s0^2,   A = sum J'^T S^-1 J',   b = sum J'^T S^-1 nu,   b / sqrt(A) ~ N(0, 1) where tau = 0
-
-Where that is beyond its limit, tau becomes a state with the estimate b / A, and the rest of the state follows from P.
-A filter that has been aligned with this source alone, or linearised anew, knows x(t - tau): E[dx tau] / s0^2 = dx / dt then.
-
-Until tau is a state, the published covariance of the position counts on what the sums leave open, with the configured sigma s:
-
     P <- P + E[tau^2] v v^T,   E[tau^2] = 1 / (A + s^-2) + (b / (A + s^-2))^2
+
+s0: negligible sigma of tau, considered; s: configured. Beyond the limit tau becomes a state with estimate b / A. A filter aligned
+with this source alone, or relinearised, knows x(t - tau): E[dx tau] / s0^2 = dx / dt. (Rao 1948; Friedland 1969.)
 """
 
 import math
@@ -50,9 +41,9 @@ _XYZ = 3
 
 
 class Delay(NamedTuple):
-    """The sums of one source since since_ns, and how many readings they are of; is_state: whether its delay is estimated.
+    """Sums of one source since since_ns, and number of readings; is_state: the delay is estimated.
 
-    before: information and score of the minute before.
+    before: information and score of the previous minute.
     """
 
     since_ns: int
@@ -63,7 +54,7 @@ class Delay(NamedTuple):
     before: tuple[float, float] = (0.0, 0.0)
 
     def covariance(self, sigma_s: float, v_n: Array) -> Array | None:
-        """E[tau^2] v v^T of the position, (15, 15), tau of sigma_s before any reading; None: less than counts."""
+        """E[tau^2] v v^T of the position, (15, 15), prior sigma_s; None where negligible."""
         if self.is_state or not sigma_s:
             return None
         information, score = max((self.information, self.score), self.before)
@@ -76,10 +67,9 @@ class Delay(NamedTuple):
         return cov
 
     def also(self, t_ns: int, seen: Innovation, column: int, gate: float = math.inf) -> "Delay":
-        """With one more innovation; column: where tau stands in P.
+        """With one more innovation; column: of tau in P.
 
-        gate: a reading beyond it counts where it shows a delay by itself, and nothing else: with the delay that all of them
-        show, it is inside the gate.
+        gate: beyond it a reading counts only where it shows a delay by itself: with the common delay it is inside.
         """
         if self.is_state:
             return self
@@ -103,12 +93,12 @@ Delays: TypeAlias = dict[str, Delay]  # by topic of the source, or of its receiv
 
 
 def block(topic: str) -> str:
-    """The slow error that the delay of a source is."""
+    """Slow error of a source's delay."""
     return f"{topic}.delay"
 
 
 def carried(aid: Aid, z: Measurement, u: Array | None, delays: Delays, members: Sequence[Hypothesis], *, alone: bool) -> Aid:
-    """The reading with the delay of its source among its errors; u (6,): rate and specific force then; alone: without others."""
+    """The reading with its source's delay among its errors; u (6,): rate, specific force; alone: no other source."""
     if u is None or not (aid.absolute or aid.receiver):
         return aid
     topic = aid.witness
@@ -123,15 +113,15 @@ def carried(aid: Aid, z: Measurement, u: Array | None, delays: Delays, members: 
 
 
 def explains(off: Array, s: Array, x: Array) -> bool:
-    """Whether a delay may be why a source is elsewhere than the estimate by off (3,) [m] of covariance s (3, 3).
+    """Whether a delay may explain a source's distance off (3,) [m] of covariance s (3, 3).
 
-    |off| <= |v| tau_max + 3 sigma, sigma^2 = tr s. The readings of a receiver that is farther off are false, and show no delay.
+    |off| <= |v| tau_max + 3 sigma, sigma^2 = tr s.
     """
     return float(np.linalg.norm(off)) <= _LONGEST_S * float(np.linalg.norm(x[X.V])) + 3.0 * math.sqrt(float(s.trace()))
 
 
 def noted(aid: Aid, seen: Innovation, gate: float, delays: Delays, members: Sequence[Hypothesis]) -> Delays:
-    """After a reading of the leading filter, of this gate; once the innovations show a delay, it is a state of each filter."""
+    """After a reading of the leading filter; a detected delay becomes a state of each filter."""
     topic = aid.witness
     before = delays.get(topic) or Delay(aid.t_ns)
     name, lead = block(topic), members[0].filter
@@ -146,7 +136,7 @@ def noted(aid: Aid, seen: Innovation, gate: float, delays: Delays, members: Sequ
 
 
 def remarks(delays: Delays, lead: Eskf) -> list[str]:
-    """Whose stamps are late, or early, by how much."""
+    """Sources with late or early stamps, by how much."""
     found: list[str] = []
     for topic in sorted(topic for topic, delay in delays.items() if delay.is_state and block(topic) in lead.slow.columns):
         at = lead.slow.columns[block(topic)].start
@@ -164,7 +154,7 @@ def begin_again(eskf: Eskf, topic: str, u: Array | None) -> None:
 
 
 def begin(eskf: Eskf, topic: str, u: Array) -> None:
-    """The delay of the source that the filter has been aligned with alone; nothing where that is known already."""
+    """Note the delay of the only source of an alignment, unless it is known."""
     if block(topic) in eskf.slow.columns:
         return
     eskf.consider(block(topic), np.array([[_PROBE_S**2]]), np.inf)
@@ -177,7 +167,7 @@ def begin(eskf: Eskf, topic: str, u: Array) -> None:
 
 
 def estimate(eskf: Eskf, topic: str, found: Delay) -> None:
-    """From now on the delay is a state, with what the sums have found, of four times their variance: S is an estimate, too."""
+    """Make the delay a state with four times its variance: S is an estimate, too."""
     at = eskf.slow.columns[block(topic)].start
     v = eskf.cov[:, at] / eskf.cov[at, at]
     eskf.cov += (_SIGMA_S**2 - eskf.cov[at, at]) * np.outer(v, v)

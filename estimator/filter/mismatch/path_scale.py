@@ -1,16 +1,10 @@
-"""The scale between the paths that two absolute sources draw: fixes in a wrong unit, with GNSS.
-
-The newest position g of GNSS is fitted to that of each fix, z, which is the more accurate one:
+"""Scale between the paths of fixes z and GNSS g: fixes in a wrong unit (docs/decision.md).
 
     g_i = b z_i + d t_i + c + e_i,     b = C_zg / C_zz,     s = 1 / b                                     (least squares)
-    sigma_b^2 = (C_gg - b C_zg) / ((3 n - 7) C_zz)
+    sigma_b^2 = (C_gg - b C_zg) / ((3 n - 7) C_zz),     C_ab = S_ab - S_a . S_b / n - C_at . C_bt / C_tt
 
-C: second moments about the mean, cleared of the part that is linear in time: C_ab = S_ab - S_a . S_b / n - C_at . C_bt / C_tt.
-d t takes up a slow pull of the receiver, c an offset between map and datum: neither is a scale. The sums begin anew each minute.
-The fixes are in a wrong unit where s is above two or below a fifth, b is six sigmas from one and from zero, and the difference
-that it makes is one of metres and larger than what is left, e, which is noise of GNSS; and so until a fit between those explains
-the motion. A pull that begins within the minute leaves more than noise. The fixes are at fault: degrees have no unit to mistake.
-(Draper and Smith 1998, Applied Regression Analysis, ch. 1.)
+Sums restart each minute. Wrong unit: s > 2 or s < 1/2, b six sigmas from one and from zero, a difference of metres beyond e,
+until a fit between explains the motion. (Draper and Smith 1998, ch. 1.)
 """
 
 import math
@@ -37,7 +31,7 @@ _XYZ = 3
 
 
 class Moments(NamedTuple):
-    """Sums over the pairs of (1, t, g, z), 8 x 8; t [s], g and z [m] are from the first pair on."""
+    """Sums over the pairs of (1, t, g, z), 8 x 8; t [s], g and z [m] from the first pair."""
 
     t0_ns: int
     g0: Array
@@ -51,7 +45,7 @@ class Moments(NamedTuple):
 
     @property
     def scale(self) -> float | None:
-        """s where the fit explains the motion of the fixes and shows s to be another than 1, or 1; else None."""
+        """s where the fit explains the motion and s differs from 1, or 1; else None."""
         n = float(self.sums[0, 0])
         if n < _FEWEST:
             return None
@@ -75,7 +69,7 @@ class Moments(NamedTuple):
 
 
 class PathScale(NamedTuple):
-    """The newest reading of GNSS (time, position), the moments of the fixes of each topic with it, the scales shown last."""
+    """Newest GNSS reading (time, position), moments by topic of fixes, last scales."""
 
     topic: str = ""
     last: tuple[int, Array] | None = None

@@ -1,11 +1,10 @@
-"""A source that is noisier than it claims: its readings scatter about one another, whatever the estimate is.
+"""A source noisier than claimed: its readings scatter about one another.
 
     d_k = nu_k - 2 nu_{k-1} + nu_{k-2},   r_k = d_k^T (S_k + 4 S_{k-1} + S_{k-2})^-1 d_k
     R <- s R,   s = max(r_(8) / m_50 where r_(3) > chi2_0.96 and most nu_k^T S_k^-1 nu_k > chi2_0.9999, s exp(-dt / tau))
 
-r_(k): the k-th smallest of the last twelve; m_50: the median of chi-square. An offset, a drift, a pull or a filter that is wrong
-leave the second differences small. A jammed receiver makes all of them large. An outlier makes three of them large, but where
-half of the readings are as predicted, the others are outliers.
+r_(k): k-th smallest of the last twelve; m_50: median of chi-square. Offsets, drifts and a wrong filter leave second differences
+small; an outlier makes three large.
 """
 
 import math
@@ -24,7 +23,7 @@ _FADES_S = 5.0
 
 
 class Scatter(NamedTuple):
-    """Of one source: factor s; r of its last readings; nu (m,) and S (m, m) of the newest two, at t_ns."""
+    """Factor s of a source; last r; nu (m,), S (m, m) of the newest two, at t_ns."""
 
     t_ns: int
     last: tuple[tuple[Array, Array], ...]
@@ -32,9 +31,8 @@ class Scatter(NamedTuple):
     factor: float = 1.0
 
     def also(self, t_ns: int, seen: Innovation, variance_factor: float) -> "Scatter":
-        """With one more innovation, whose noise was taken as self.factor times what the source claims.
-
-        variance_factor: f, which S contains: what it explains is no scatter.
+        """With one more innovation, noise taken as self.factor times the claim; variance_factor: f in S, which explains no
+        scatter.
         """
         s = seen.s if self.factor == 1.0 else seen.s - variance_factor * (1.0 - 1.0 / self.factor) * seen.noise
         seconds = (t_ns - self.t_ns) * 1e-9

@@ -23,7 +23,7 @@ _HEAD = 65536  # bytes
 
 
 def read_gdal(path: Path, place: Place) -> Iterator[Footprint]:
-    """Polygons of every layer of a file that GDAL reads. Raises MapError."""
+    """Polygons of all layers by GDAL. Raises MapError."""
     try:
         import pyogrio  # noqa: PLC0415  (an extra)
         import pyogrio.raw  # noqa: PLC0415

@@ -24,11 +24,11 @@ class AutopilotClock:
 
     @property
     def offset(self) -> Offset:
-        """The better one that there is."""
+        """The better of the two offsets."""
         return self._quick if self._synced.ahead_ns is None else self._synced
 
     def ask(self, now_ns: int) -> int:
-        """The ts1 of a question that is sent now."""
+        """ts1 of a question sent now."""
         self._asked = [*self._asked[1 - _OPEN_QUESTIONS :], now_ns]
         return now_ns
 

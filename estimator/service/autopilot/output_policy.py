@@ -32,7 +32,7 @@ _LAT_DEG, _LON_DEG, _HEIGHT_M = 90.0, 360.0, 1e5
 
 
 class AutopilotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """[autopilot]: its own sensors, and the output that it is sent."""
+    """[autopilot]: its own sensors, and our output to it."""
 
     own_gnss: Annotated[bool, Meta(description="whether the GNSS that we fuse is the autopilot's own receiver")] = True
     own_gnss_quality: Annotated[
@@ -85,7 +85,7 @@ class OutputPolicy:
 
     @property
     def most_radius_m(self) -> float:
-        """95 % radius from which on odometry is not to be used."""
+        """95 % radius beyond which odometry is unusable."""
         return self._config.most_radius_m
 
     def note(self, outputs: Iterable[Output]) -> bool:
@@ -109,7 +109,7 @@ class OutputPolicy:
 
     @property
     def is_alarmed(self) -> bool:
-        """Whether integrity says that the estimate is not to be used."""
+        """Whether integrity forbids the use of the estimate."""
         return self.integrity is not None and self.integrity.state is Alert.DO_NOT_USE
 
     def widened(self, estimate: Estimate) -> Estimate:

@@ -31,7 +31,7 @@ _AHEAD_NS: Final = SECOND_NS // 2  # by which a stamp may be ahead of its arriva
 
 
 class ClockConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """[clock]: which stamps of others are accepted."""
+    """[clock]: accepted foreign stamps."""
 
     foreign: Annotated[
         tuple[str, ...], Meta(description="topics stamped by a clock that is not set to ours: its offset is always estimated")

@@ -31,7 +31,7 @@ class _Line:
 
     @property
     def load(self) -> int:
-        """Bytes that wait."""
+        """Waiting bytes."""
         return self.put_bytes - self.got_bytes
 
 
@@ -56,11 +56,11 @@ class Mailbox:
             self._enqueue(topic, schema, data)
 
     def put(self, message: Input) -> None:
-        """A measurement of a link that speaks no CDR."""
+        """Put a measurement without CDR."""
         self._enqueue(*encode_input(message, self._mounting))
 
     def put_own(self, message: Encoded) -> None:
-        """What our own vision was asked and answers: kept until get_own()."""
+        """Put requests and answers of our vision, for get_own()."""
         self._own.put(message)
 
     def get(self, timeout_s: float) -> Arrival | None:
@@ -121,4 +121,4 @@ def _turn(line: _Line) -> tuple[bool, int]:
 
 
 def _look_away(_: Arrival) -> None:
-    """There is no vision."""
+    """No vision."""

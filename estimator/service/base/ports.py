@@ -45,11 +45,11 @@ class Log(Protocol):
     """Keeps everything; never blocks or raises; counts what is dropped."""
 
     def put_input(self, arrival: Arrival) -> None:
-        """The estimator's inputs: the last that may be lost."""
+        """Put an input of the estimator, the last to be dropped."""
         ...
 
     def put_output(self, encoded: Encoded, log_time_ns: int) -> None:
-        """What the estimator said, which a replay can say again."""
+        """Put an output, which a replay can repeat."""
         ...
 
     def put_image(self, arrival: Arrival) -> None:
@@ -58,7 +58,7 @@ class Log(Protocol):
 
 
 class Screen(Protocol):
-    """Where images for people are shown, if anybody watches."""
+    """Shows images to viewers."""
 
     def watched(self) -> bool:
         """Whether somebody subscribes now; asked before anything is drawn."""

@@ -42,7 +42,7 @@ class Status:
         return self._health
 
     def note(self, message: Input, outputs: Sequence[Output], now_ns: int) -> None:
-        """One input was handled, and what it led to is sent."""
+        """Count one handled input and its outputs."""
         topic = message.topic
         self._counts[topic] = self._counts.get(topic, 0) + 1
         if isinstance(message, ImuSample):
@@ -75,11 +75,11 @@ class Status:
         return waits and isinstance(message, ImuSample)
 
     def note_defect(self, detail: str) -> None:
-        """Something happened that cannot happen."""
+        """Note an internal error."""
         self._defects, self._defect = self._defects + 1, detail
 
     def report(self, now_ns: int) -> Encoded | None:
-        """What became of the last second, if it is over."""
+        """Report of the last second, if it is over."""
         if now_ns < self._next_ns:
             return None
         period_s = max(1e-9 * (now_ns - self._reported_ns), 1e-3)

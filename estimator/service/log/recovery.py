@@ -79,7 +79,7 @@ class FolderLock:
 
 
 def torn_logs(folder: Path) -> list[Path]:
-    """The logs in a folder that lack their proper end, oldest first."""
+    """Torn logs of a folder, oldest first."""
     return [path for path in sorted(folder.glob("landfix-*.mcap")) if is_torn(path)]
 
 

@@ -85,7 +85,7 @@ def clock_of(saved: SavedState | None) -> Clock:
 
 
 def usable(saved: SavedState | None, now_ns: int, config: str, oldest_s: float) -> SavedState | None:
-    """The state, if it is young enough and of this configuration."""
+    """The state, if young and of this configuration."""
     if saved is None or saved.config != config or not 0 <= now_ns - saved.t_ns <= oldest_s * SECOND_NS:
         return None
     return saved
@@ -148,7 +148,7 @@ class StateKeeper:
 
 
 def checkpoint_of(estimate: Estimate, last_gnss: LastGnss | None) -> Checkpoint:
-    """What the next daemon begins with."""
+    """The next daemon's checkpoint."""
     e = estimate
     absolute_ns, counter = e.last_absolute_ns, e.reset_counter
     return Checkpoint(e.t_ns, e.arrived_ns, e.nav, e.covariance, absolute_ns, counter, origin=e.origin, last_gnss=last_gnss)

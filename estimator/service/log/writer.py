@@ -137,12 +137,12 @@ class LogWriter:
 
     @property
     def waiting_bytes(self) -> int:
-        """What waits for the disk, images apart."""
+        """Bytes waiting for the disk, without images."""
         return self._put_bytes - self._taken_bytes
 
     @property
     def state(self) -> LogState:
-        """How it is doing."""
+        """State of the log for the status."""
         file = str(self._recorder.path) if self._recorder else ""
         problem = self._problem or self._shared
         state = f"{self._state}: {problem}" if problem else self._state
@@ -157,7 +157,7 @@ class LogWriter:
         return self.state._asdict()
 
     def close(self, timeout_s: float = 10.0) -> None:
-        """Write what waits and make the file whole."""
+        """Write the queue and complete the file."""
         self._stop.set()
         self._thread.join(timeout_s)
         if self._thread.is_alive():  # what still waits will not be written

@@ -89,7 +89,7 @@ class Place(NamedTuple):
 
 
 def stamp_ns(message: Any) -> int:
-    """The message's own time, as it is; 0 where it has none."""
+    """The message's own time; 0 without."""
     if hasattr(message, "time_usec"):
         return int(message.time_usec) * _US_NS
     return int(getattr(message, "time_boot_ms", 0)) * _MS_NS
@@ -136,7 +136,7 @@ def gnss_fix(message: Any, t_ns: int, geoid_m: float, topic: str, state: Receive
 
 
 def gnss_velocity(message: Any, t_ns: int, topic: str) -> GnssVelocity | None:
-    """Speed and course over ground; None where the receiver gives none."""
+    """Speed and course over ground, or None."""
     if message.fix_type < _FIX_3D or _UNKNOWN in {message.vel, message.cog}:
         return None
     speed, course = 1e-2 * message.vel, math.radians(1e-2 * message.cog)

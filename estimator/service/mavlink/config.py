@@ -75,7 +75,7 @@ class MavlinkConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Udp(NamedTuple):
-    """Where to listen, or whom to begin to talk to."""
+    """Address to listen on, or to talk to first."""
 
     host: str
     port: int

@@ -25,7 +25,7 @@ class FlowRange:
         self._estimate: Estimate | None = None
 
     def note_finder(self, t_ns: int, metres: float) -> None:
-        """A range finder that looks down; infinite: no echo."""
+        """Note a downward range; infinite: no echo."""
         self._finder = t_ns, metres
 
     def note_estimate(self, estimate: Estimate) -> None:

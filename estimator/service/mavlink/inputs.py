@@ -91,7 +91,7 @@ class Inputs:
         self.imu_kind = "none"
 
     def ask_again(self) -> None:
-        """The autopilot may have forgotten what it was asked for."""
+        """Repeat all requests."""
         self._asked.clear()
         self._heard.clear()
         self._began_ns, self._imu_us, self._denied = None, self._fastest_us, False
@@ -114,7 +114,7 @@ class Inputs:
         self._heard[message.get_msgId()] = now_ns
 
     def measured(self, message: Any, t_ns: int, now_ns: int, autopilot: int | None) -> Iterator[Input]:
-        """The measurements in a message that was valid at t_ns."""
+        """Measurements of a message valid at t_ns."""
         number, kind = message.get_msgId(), message.get_type()
         if kind in _IMUS and self._imu_topic and self._is_best(kind, now_ns, autopilot):
             sample = codec.imu(message, t_ns, self._imu_topic)
@@ -143,7 +143,7 @@ class Inputs:
             yield from wheels(self._wheels, message, t_ns)
 
     def note_integrity(self, message: Any, now_ns: int) -> None:
-        """GNSS_INTEGRITY, which has no stamp; its id counts the receivers from 0."""
+        """Note GNSS_INTEGRITY (no stamp); its id counts receivers from 0."""
         if message.id < len(_RECEIVERS):
             self._states[_RECEIVERS[message.id]] = codec.receiver_state(message), now_ns
 

@@ -25,7 +25,7 @@ class Heard(NamedTuple):
 
 
 class Endpoint(Protocol):
-    """One way in and out. Nothing here raises once it is made."""
+    """An input and output; never raises once made."""
 
     @property
     def whole(self) -> bool:
@@ -38,7 +38,7 @@ class Endpoint(Protocol):
         ...
 
     def receive(self, timeout_s: float) -> Heard | None:
-        """What has come; None: nothing in time."""
+        """Received bytes; None: time-out."""
         ...
 
     def send(self, data: bytes, receiver: Any) -> bool:
@@ -90,7 +90,7 @@ class UdpEndpoint:
         return None
 
     def send(self, data: bytes, receiver: Any) -> bool:
-        """To the receiver; to the peer where there is only one."""
+        """Send to the receiver, or the only peer."""
         if self._listens and receiver is None:
             return False
         try:
@@ -117,7 +117,7 @@ class SerialEndpoint:
         self._open()
 
     def receive(self, timeout_s: float) -> Heard | None:
-        """What the device has."""
+        """Received bytes of the device."""
         fd = self._fd
         if fd is None:
             time.sleep(timeout_s)

@@ -100,7 +100,7 @@ class MavlinkLink:
         self._thread.start()
 
     def send(self, outputs: Sequence[Output], encoded: Sequence[Encoded]) -> None:  # noqa: ARG002  (an Outbox is given both)
-        """Send the autopilot what is for it."""
+        """Send the outputs meant for the autopilot."""
         self._fix_waits |= self._policy.note(outputs)
         estimate = newest(outputs)
         autopilot = self._autopilot

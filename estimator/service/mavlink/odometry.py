@@ -29,7 +29,7 @@ def flow(steps: FlowSteps, message: Any, t_ns: int, at: Range | None) -> list[Od
 
 
 def wheels(ways: Wheels, message: Any, t_ns: int) -> list[Reading]:
-    """WHEEL_DISTANCE. Raises ValueError for what is no distance."""
+    """WHEEL_DISTANCE. Raises ValueError."""
     return ways.add(t_ns, message.distance[: message.count])
 
 

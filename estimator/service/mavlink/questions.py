@@ -86,7 +86,7 @@ class _Talk:
         self._say(mavlink.MAVLink_heartbeat_message(kind, none, 0, 0, mavlink.MAV_STATE_ACTIVE, 3))
 
     def ask_for(self, names: Iterable[str]) -> None:
-        """These, and what has no answer yet of the rest."""
+        """Ask for these and unanswered ones."""
         system, component = self._config.system, mavlink.MAV_COMP_ID_AUTOPILOT1
         unknown = {
             mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: not self.version,

@@ -27,7 +27,7 @@ _Messages: TypeAlias = Annotated[list[Encoded], msgspec.Meta(max_length=100)]
 
 
 class Question(msgspec.Struct, frozen=True, tag=True):
-    """The bytes of a request, and the images that it is about."""
+    """Bytes of a request, and its images."""
 
     request: bytes
     pairs: list[Pair]
@@ -40,7 +40,7 @@ class Drawing(msgspec.Struct, frozen=True, tag=True):
 
 
 class Ready(msgspec.Struct, frozen=True, tag=True):
-    """It is warm; the cameras' time offset."""
+    """Warm; time offset of the cameras."""
 
     time_offset_ns: _Offset
 
@@ -70,7 +70,7 @@ _asked, _said = msgspec.msgpack.Decoder(Asked), msgspec.msgpack.Decoder(Said)
 
 
 class MalformedError(ValueError):
-    """An answer that is none; one line."""
+    """A malformed answer; one line."""
 
 
 def send(pipe: Connection, message: Asked | Said) -> None:

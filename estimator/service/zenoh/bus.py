@@ -159,11 +159,11 @@ class ZenohBus:
                     self._kept.append(live.declare_token(token))
 
     def screen(self, topic: str, schema: str) -> ZenohScreen:
-        """Where images of a topic are shown."""
+        """A screen for images on a topic."""
         return ZenohScreen(self.session, self._config, self._clock, topic, schema)
 
     def serve(self, name: str, content: Callable[[], bytes | None], media_type: str) -> None:
-        """Answer queries for landfix/<name>; None: there is none."""
+        """Answer queries for landfix/<name>; None: no content."""
 
         def answer(query: zenoh.Query) -> None:
             with query:
@@ -176,7 +176,7 @@ class ZenohBus:
         self._kept.append(self.session.declare_queryable(_QUERIES + name, answer))
 
     def send(self, outputs: Sequence[Output], encoded: Sequence[Encoded]) -> None:  # noqa: ARG002  (an Outbox is given both)
-        """Put what is due on the bus."""
+        """Put due messages on the bus."""
         for topic, schema, data in self._with_diagnostics(encoded):
             try:
                 sender = self._senders.get(topic)

@@ -126,7 +126,7 @@ class Endpoint(NamedTuple):
 
     @classmethod
     def of(cls, text: str) -> "Endpoint":
-        """The parts, whatever stands in them."""
+        """Parts of an endpoint, unchecked."""
         protocol, _, rest = text.partition("/")
         place, _, behind = rest.partition("#")
         address, settings = place.partition("?")[0], frozenset(s.partition("=")[0] for s in behind.split(";") if s)

@@ -30,7 +30,7 @@ def plain_key(topic: str) -> str:
 
 
 def attachment(sequence: int, sent_ns: int, gid: bytes) -> bytes:
-    """What rmw_zenoh expects behind every sample; sequence counts from 1."""
+    """Attachment of rmw_zenoh samples; sequence counts from 1."""
     return _ATTACHMENT.pack(sequence, sent_ns, _GID_BYTES, gid)
 
 

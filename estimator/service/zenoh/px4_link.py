@@ -64,7 +64,7 @@ class Px4Link:
         self._subscriber = session.declare_subscriber(f"{domain}/fmu/out/**", self._hear)
 
     def send(self, outputs: Sequence[Output], encoded: Sequence[Encoded]) -> None:  # noqa: ARG002  (an Outbox is given both)
-        """Send PX4 what is for it."""
+        """Send the outputs meant for PX4."""
         self._fix_waits |= self._policy.note(outputs)
         estimate = newest(outputs)
         if estimate is None:

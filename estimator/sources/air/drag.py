@@ -1,9 +1,9 @@
-"""Drag of a multirotor: what the accelerometer feels across the thrust is air that flows past (through_air.py).
+"""Drag of a multirotor: specific force across the thrust shows the air flow (through_air.py).
 
     u(f - b_a - d) = (1 + s) (R_nb^T (v - w))_xy + n
 
-f: mean specific force of the last moment; d: the thrust is not quite along the IMU's z; s: the coefficient is not quite known.
-Both stay, and are estimated. The IMU itself asks, ten times a second; on the ground nothing of this holds.
+f: mean specific force; d: misalignment of thrust and IMU z; s: error of the coefficient; both estimated. Asked ten times a
+second, not on the ground.
 """
 
 import math

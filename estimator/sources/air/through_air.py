@@ -46,7 +46,7 @@ class AirVelocity:
     wind_n: tuple[float, float] = _CALM
 
     def in_wind(self, wind_n: Array) -> Self:
-        """The same where the wind is estimated to be this."""
+        """With this estimate of the wind."""
         return replace(self, wind_n=(float(wind_n[0]), float(wind_n[1])))
 
     def by_scale(self, x: Array) -> Array:
@@ -90,7 +90,7 @@ class DragForce:
         return self.sigma**2 * by_force @ by_force.T
 
     def in_wind(self, wind_n: Array) -> Self:
-        """The same where the wind is estimated to be this."""
+        """With this estimate of the wind."""
         return replace(self, wind_n=(float(wind_n[0]), float(wind_n[1])))
 
     def by_scale(self, x: Array) -> Array:

@@ -23,7 +23,7 @@ STAYS = 1e-10  # variance per second of what is estimated and does not change
 
 
 class WindConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """[wind]: estimated where [inputs] airspeed names a topic or [drag] is enabled."""
+    """[wind]: estimated with [inputs] airspeed or [drag]."""
 
     sigma_m_s: Annotated[float, Meta(ge=0.1, le=100, description="m/s: north and east, before anything is known of it")] = 5.0
     walk_m_s_sqrt_s: Annotated[float, Meta(ge=1e-4, le=10, description="m/s/sqrt(s): by which it changes")] = 0.05

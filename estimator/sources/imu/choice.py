@@ -1,27 +1,16 @@
-"""Several IMUs: one leads, and another takes over when it fails.
-
-The estimator integrates one stream. The choice stands before it and hands on the samples of the leading IMU. An IMU fails when
+"""Several IMUs: one leads, another takes over when it fails (docs/decision.md).
 
     silent         it sends nothing usable for 0.1 s while another one does (samples that are not finite are not usable)
     stuck          all of its axes read the same for 0.5 s while another one changes
     held           one axis reads the same for 0.5 s, as at the end of its range, and another IMU contradicts it
     contradicted   two others agree with each other, and not with it; or one does not, and positions contradict it, too
 
-Two means over 0.2 s contradict each other where they differ by more than the threshold beyond the difference d of before:
+    |u_2 - u_1 - d| > threshold + 0.1 |u_1| + 5 s_12            (means over 0.2 s; gyroscope and accelerometer apart)
+    b <- b + d,    P_bb <- P_bb + diag(max(s, floor)^2)         (the new IMU's biases)
 
-    |u_2 - u_1 - d| > threshold + 0.1 |u_1| + 5 s_12            (gyroscope and accelerometer apart)
-
-The share is for scale, misalignment and the distance between the two. s_12 is the standard error of the difference, as the
-samples scatter: vibration that a slow log aliases is another one in each IMU. With two IMUs a contradiction shows that one is
-wrong, but not which: it is reported, and nothing is changed until a position is beyond the gate of every hypothesis.
-
-The new IMU has biases of its own. With d the mean difference of up to 20 s before the fault and s its standard deviation,
-
-    b <- b + d,    P_bb <- P_bb + diag(max(s, floor)^2)
-
-Where too little is known, d = 0 and s is sqrt(2) times the sigma of biases at the start. The samples of the failed IMU since the
-fault began are replaced by those of the new one. The choice depends on the order of arrival, so a replay makes the same one. No
-measurement that comes late changes it, but for a position that decides between two.
+d: mean difference of up to 20 s before, s its sigma; where too little is known, d = 0 and s is sqrt(2) times the initial sigma.
+s_12: standard error of the difference. The failed IMU's samples since the fault are replaced. The choice depends on the order of
+arrival; of late measurements only a position that decides between two changes it.
 """
 
 import math
@@ -97,7 +86,7 @@ class Choice:
 
     @property
     def is_used(self) -> bool:
-        """There are several IMUs."""
+        """Whether there are several IMUs."""
         return len(self._topics) > 1
 
     def leads(self, sample: ImuSample) -> bool:

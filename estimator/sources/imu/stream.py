@@ -45,11 +45,11 @@ class Stream:
         self._in_block.append(u)
 
     def after(self, t_ns: int) -> list[ImuSample]:
-        """The samples later than t_ns that are kept."""
+        """Kept samples later than t_ns."""
         return [s for s in self._samples if s.t_ns > t_ns]
 
     def held(self, stuck_ns: int) -> Sequence[int]:
-        """The axes that have read the same for stuck_ns, of the six."""
+        """Which of six axes are constant for stuck_ns."""
         return [axis for axis, since_ns in enumerate(self._same_since_ns) if self.newest_ns - since_ns >= stuck_ns]
 
     def is_stuck(self, stuck_ns: int) -> bool:

@@ -66,7 +66,7 @@ class _Parameters:
         return self._values.get(name, float("nan"))
 
     def check(self, name: str, good: bool, advice: str, *, warn: bool = False) -> Check:
-        """good: as it should be; advice: what to set, and why."""
+        """A check; advice: what to set and why."""
         has = name in self._values
         found = f"{self._values[name]:g}" if has else "no such parameter"
         return judge(name, found, fail=not good and not warn, warn=not good and warn, advice=advice)

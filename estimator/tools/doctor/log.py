@@ -37,7 +37,7 @@ _HALF_EMPTY = 0.1  # of all samples
 
 
 class _Topic:
-    """What one topic brought."""
+    """Content of a topic."""
 
     def __init__(self, schema: str) -> None:
         self.schema = schema
@@ -50,7 +50,7 @@ class _Topic:
         self.assumptions = 0
 
     def add(self, message: Input, made: Aid | Refusal | None) -> None:
-        """made: the measurement in the message, or why there is none."""
+        """made: the measurement of the message, or its refusal."""
         self.count += 1
         if isinstance(message, Unusable):
             self.bad.append(message.detail)

@@ -1,4 +1,4 @@
-"""Many flights at once: the engine (dask.distributed), the store (fsspec), a row a flight (Parquet), two runs compared.
+"""Many flights: engine (dask.distributed), store (fsspec), a row a flight (Parquet), comparison.
 
 Begin with `run` and `compare`. May import estimator.replay and the layers below it, logs and models.
 """

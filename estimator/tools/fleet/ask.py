@@ -1,4 +1,4 @@
-"""Questions to the rows in SQL: duckdb over the Parquet files, in the table `rows`, beside a table `joined` of the user's."""
+"""SQL over the rows: duckdb on Parquet, tables `rows` and the user's `joined`."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +19,7 @@ class Answer(NamedTuple):
 
 
 def ask(rows: pa.Table, sql: str, joined: pa.Table | None = None) -> Answer:
-    """What the query selects. Raises FleetError where it is wrong."""
+    """Result of the query. Raises FleetError."""
     with duckdb.connect(config={"enable_external_access": "false", "python_enable_replacements": "false"}) as connection:
         connection.register("rows", rows)
         if joined is not None:
@@ -34,7 +34,7 @@ def ask(rows: pa.Table, sql: str, joined: pa.Table | None = None) -> Answer:
 
 
 def with_columns(rows: pa.Table, file: Path | None) -> pa.Table:
-    """The rows with the columns of a CSV or Parquet file that has a column log: addresses, or their ends. Raises FleetError."""
+    """Rows with columns of a CSV or Parquet file by its column log (addresses or ends). Raises FleetError."""
     if file is None:
         return rows
     try:
@@ -55,6 +55,5 @@ def with_columns(rows: pa.Table, file: Path | None) -> pa.Table:
 
 
 def _line(log: str, by_log: dict[str, int]) -> int | None:
-    """The line of a log: of its address, or of the longest end of it that is named."""
     parts = log.split("/")
     return next((by_log[end] for k in range(len(parts)) if (end := "/".join(parts[k:])) in by_log), None)

@@ -25,7 +25,7 @@ Rows = Mapping[str, Any]
 
 
 class Change(NamedTuple):
-    """Of one flight; worse: difference of costs of the metric that became worst; inf: there is no result any more."""
+    """One flight; worse: largest cost difference of a metric; inf: no result any more."""
 
     log: str
     metric: str
@@ -35,7 +35,7 @@ class Change(NamedTuple):
 
 
 class MetricChange(msgspec.Struct, frozen=True):
-    """Of one metric over all pairs that have it; median_percent: of the changes; p: of the test, None for too few."""
+    """One metric over all pairs; median_percent: of the changes; p: of the test, None for too few."""
 
     metric: str
     pairs: int
@@ -64,7 +64,7 @@ class Broken(msgspec.Struct, frozen=True):
 
 
 class Comparison(msgspec.Struct, frozen=True):
-    """All of it. changes: every flight with both rows, the worst first; only: flights with one row; differing: other inputs."""
+    """changes: flights with both rows, the worst first; only: with one row; differing: other inputs."""
 
     labels: tuple[str, str]
     pairs: int
@@ -87,7 +87,7 @@ def compare(
     budgets: Sequence[str] = (),
     least_percent: float = 1.0,
 ) -> Comparison:
-    """The Comparison. least_percent: a smaller change of a flight is not counted; by: a column. Raises FleetError."""
+    """The Comparison; least_percent: smaller changes do not count; by: a column. Raises FleetError."""
     if by and by not in rows.column_names:
         raise FleetError(f"--by {by}: no such column; there are {', '.join(rows.column_names)}")
     found = {label: _by_log(rows, label) for label in {*labels, *(noise or ())}}
@@ -114,12 +114,11 @@ def compare(
 
 
 def _by_log(rows: pa.Table, label: str) -> dict[str, Rows]:
-    """The row of each log under a label."""
     return {row["log"]: row for row in rows.filter(pa.compute.field("label") == label).to_pylist()}
 
 
 def difference(metric: str, before: Rows, after: Rows) -> float | None:
-    """Of the costs; inf where only the flight before has a value, -inf where only that after has one, None where none has."""
+    """Difference of costs; inf: value lost, -inf: value gained, None: neither has one."""
     was, now = cost(metric, value_of(before, metric)), cost(metric, value_of(after, metric))
     if was is None or now is None:
         return None if was is now else math.copysign(math.inf, -1.0 if was is None else 1.0)
@@ -127,13 +126,11 @@ def difference(metric: str, before: Rows, after: Rows) -> float | None:
 
 
 def _noise(one: Mapping[str, Rows], other: Mapping[str, Rows], metric: str) -> float:
-    """The largest finite difference between two runs that should be equal."""
     differences = [difference(metric, one[log], other[log]) for log in one.keys() & other.keys()]
     return max((abs(d) for d in differences if d is not None and math.isfinite(d)), default=0.0)
 
 
 def _change(log: str, before: Rows, after: Rows, noise: Mapping[str, float]) -> Change:
-    """How much worse a flight became, by the metric that moved most for the worse, else by the one that improved most."""
     if bool(after["error"]) != bool(before["error"]):
         return Change(log, "error", math.inf if after["error"] else -math.inf, before, after)
     moved = [(d, m) for m in RANKED if (d := difference(m, before, after)) is not None and abs(d) > noise[m]]
@@ -161,7 +158,6 @@ def _metric(metric: str, pairs: Iterable[tuple[Rows, Rows]], noise: float) -> Me
 
 
 def _groups(changes: Iterable[Change], by: str, least: float) -> list[GroupChange]:
-    """The flights by a column, the group with the largest share of worse ones first."""
     groups: dict[str, list[float]] = {}
     for change in changes:
         groups.setdefault(str(change.after[by]), []).append(change.worse)
@@ -179,7 +175,6 @@ def _groups(changes: Iterable[Change], by: str, least: float) -> list[GroupChang
 
 
 def _broken(text: str, changes: Sequence[Change]) -> Broken | None:
-    """The budget where it is broken. A flight without a result any more is beyond every budget. Raises FleetError."""
     match = _BUDGET.fullmatch(text)
     if match is None or match[1] not in METRICS:
         raise FleetError(f'--fail-if "{text}": write METRIC worse X % on Y %, METRIC one of {", ".join(METRICS)}')

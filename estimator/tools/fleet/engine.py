@@ -1,4 +1,4 @@
-"""The engine: dask.distributed, on this machine or a scheduler's address; at most _AHEAD tasks a thread are known to it."""
+"""dask.distributed, on this machine or a scheduler's address, at most _AHEAD tasks a thread."""
 
 import logging
 import os
@@ -23,7 +23,7 @@ Result = TypeVar("Result")
 
 @contextmanager
 def cluster(jobs: int | None, scheduler: str = "") -> Iterator[Client]:
-    """A client of the scheduler at that address, or of `jobs` processes here (None: one a core). Raises FleetError."""
+    """A client of that scheduler, or of `jobs` local processes (None: one a core). Raises FleetError."""
     if not scheduler:
         workers = jobs or os.cpu_count() or 1
         with (
@@ -52,7 +52,7 @@ def executor(jobs: int | None, scheduler: str = "") -> Iterator[Executor]:
 def results(
     client: Client, work: Callable[..., Result], items: Iterable[Item], *args: Any
 ) -> Iterator[tuple[Item, Result | Exception]]:
-    """Of each item what work(item, *args) returned or raised, in the order in which they end."""
+    """Results or exceptions of work(item, *args), as they end."""
     waiting, running = iter(items), dict[Any, Item]()
     finished = as_completed(with_results=False)
 
@@ -70,6 +70,5 @@ def results(
 
 
 def _width(client: Client) -> int:
-    """Tasks that may be known to the scheduler."""
     threads: int = sum(client.nthreads().values())
     return _AHEAD * max(1, threads)

@@ -1,4 +1,4 @@
-"""One flight on a worker: out of the store, through its importer if it needs one, replay, evaluation, its row."""
+"""One flight on a worker: fetch, import, replay, evaluate, row."""
 
 import resource
 import time
@@ -36,8 +36,8 @@ _ROOT: Final = Path(__file__).parents[3]
 class Settings(msgspec.Struct, frozen=True):
     """Common to all flights of a run.
 
-    configuration: TOML text, None: of each log; truth: topic; from_images: images are processed again, with files (path ->
-    content); code: of the program, which the worker's must equal.
+    configuration: TOML text, None: each log's; truth: topic; from_images: with files (path -> content); code: of the program,
+    equal on the worker.
     """
 
     label: str
@@ -50,7 +50,7 @@ class Settings(msgspec.Struct, frozen=True):
 
 @lru_cache(maxsize=1)
 def code() -> str:
-    """sha256 over the program's source files: two with the same make the same rows."""
+    """sha256 of the source files: equal programs make equal rows."""
     digest = sha256(version().encode())
     for package in _PACKAGES:
         for file in sorted((_ROOT / package).rglob("*.py")):
@@ -66,7 +66,7 @@ def key_of(flight: Flight, settings: Settings) -> str:
 
 
 def fly(flight: Flight, settings: Settings) -> Row:
-    """The row of the flight. Raises OSError where the store fails, FleetError where this worker runs another program."""
+    """The row of the flight. Raises OSError (store), FleetError (another program here)."""
     if code() != settings.code:
         raise FleetError(f"a worker runs another landfix ({code()}) than this one ({settings.code}): install the same there")
     cpu_s, wall_s = time.process_time(), time.monotonic()
@@ -101,7 +101,6 @@ def _one_line(error: Exception) -> str:
 
 
 def _result(flight: Flight, settings: Settings, scratch: Path, row: dict[str, Any]) -> dict[str, Any]:
-    """All columns that the flight fills; those known where it fails are put into `row`."""
     collected = _collected(_prepared(flight, settings, scratch, row), settings.truth, row)
     found = of_evaluation(assess(collected, flight.log, relative=False))
     if collected.origin is not None:
@@ -118,7 +117,7 @@ class _Prepared(NamedTuple):
 
 
 def estimate(flight: Flight, settings: Settings, scratch: Path) -> Path:
-    """The log that replay writes of the flight, in `scratch`. Raises LogError where it has no estimate."""
+    """The replayed log in `scratch`. Raises LogError without estimate."""
     files, config, processor = _prepared(flight, settings, scratch, {})
     out = scratch / "estimate.mcap"
     summary = replay(files, out, _sparse(config), processor=processor)
@@ -128,7 +127,6 @@ def estimate(flight: Flight, settings: Settings, scratch: Path) -> Path:
 
 
 def _prepared(flight: Flight, settings: Settings, scratch: Path, row: dict[str, Any]) -> _Prepared:
-    """The flight out of the store; what is known of it is put into `row`."""
     config = parse(settings.configuration) if settings.configuration is not None else None
     files, own = _local(flight, _wanted(config, settings.truth, images=settings.from_images), scratch, row)
     with PartsReader(files) as reader:
@@ -144,7 +142,6 @@ def _prepared(flight: Flight, settings: Settings, scratch: Path, row: dict[str, 
 
 
 def _collected(prepared: _Prepared, truth: str, row: dict[str, Any]) -> Collected:
-    """What an evaluation would read from the log of the replay, which is not written. Raises LogError."""
     files, config, processor = prepared
     collector, builder = Collector(truth, MOST), SummaryBuilder(watch=False)
     with PartsReader(files) as reader:
@@ -158,7 +155,6 @@ def _collected(prepared: _Prepared, truth: str, row: dict[str, Any]) -> Collecte
 
 
 def _local(flight: Flight, wanted: Callable[[str], bool], scratch: Path, row: dict[str, Any]) -> tuple[list[Path], Config | None]:
-    """MCAP files with what is needed of the parts, and the configuration that an importer made."""
     files, digest, made = list[Path](), sha256(), None
     row["read_bytes"] = 0
     for address in flight.parts:
@@ -180,18 +176,15 @@ def _local(flight: Flight, wanted: Callable[[str], bool], scratch: Path, row: di
 
 
 def _recorded_with(reader: PartsReader) -> Config:
-    """The configuration that is attached to the log, defaults where there is none."""
     texts = [a.data.decode(errors="replace") for a in reader.attachments if a.name == CONFIG_ATTACHMENT]
     return parse(texts[0], f"{CONFIG_ATTACHMENT} in the log") if texts else Config()
 
 
 def _sparse(config: Config) -> Config:
-    """The configuration without the outputs that no evaluation reads: pose, transform and geodetic position at each estimate."""
     return msgspec.structs.replace(config, output=msgspec.structs.replace(config.output, slow_rate_hz=_SLOWEST_HZ))
 
 
 def _written(files: dict[str, bytes], folder: Path) -> Path:
-    """The folder, with the files that the configuration names in it."""
     folder.mkdir()
     for name, content in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -200,7 +193,6 @@ def _written(files: dict[str, bytes], folder: Path) -> Path:
 
 
 def _wanted(config: Config | None, truth: str, *, images: bool) -> Callable[[str], bool]:
-    """Which topics a replay and an evaluation read; without a configuration all that are no images."""
     if config is None:
         return lambda topic: "image" not in topic and (topic in OWN_INPUTS or not topic.startswith(OWN_PREFIX))
     topics = {topic for value in msgspec.structs.asdict(config.inputs).values() for topic in _flat(value)}

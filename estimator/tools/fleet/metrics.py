@@ -48,7 +48,7 @@ _SMALLEST: Final = 1e-9
 
 
 def cost(metric: str, value: float | None) -> float | None:
-    """The cost of a value, None where there is none."""
+    """Cost of a value, or None."""
     if value is None or not math.isfinite(value):
         return None
     match METRICS[metric]:
@@ -76,7 +76,7 @@ def is_ratio(metric: str) -> bool:
 
 
 def percent(metric: str, change: float, before: float | None) -> float:
-    """A difference of costs in percent of what was before; infinite where there was nothing."""
+    """Cost difference in percent of before; infinite for nothing before."""
     if is_ratio(metric):
         return 100.0 * math.expm1(min(change, 700.0))
     return 100.0 * change / abs(before) if before else math.copysign(math.inf, change) if change else 0.0

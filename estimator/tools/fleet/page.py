@@ -1,4 +1,4 @@
-"""A comparison as one HTML page: what moved over the fleet, by group, then flight by flight, the worst first."""
+"""A comparison as one HTML page: fleet, groups, flights, the worst first."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final
@@ -12,7 +12,7 @@ _MOST: Final = 100  # flights on the page, of each end
 
 
 def write(c: Comparison, reports: Mapping[str, Links]) -> str:
-    """The page; reports: log -> label and file of each report that was made."""
+    """Write the page; reports: log -> label and file."""
     before, after = (text(label) for label in c.labels)
     word = f"{c.worse} of {c.pairs} flights worse, {c.better} better" if c.worse or c.better else "no flight differs"
     head = f"<h1>{after} against {before}</h1><p>{verdict(word, BAD if c.worse or c.broken else GOOD)}</p>"

@@ -1,4 +1,4 @@
-"""The reports of the flights that moved most, each made again with the configuration of its row."""
+"""Reports of the flights that moved most, replayed with their rows' configuration."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -15,7 +15,7 @@ from logs.store.reader import LogError
 def reports_of(
     changes: Sequence[Change], results: str, folder: Path, progress: Callable[[float], None]
 ) -> dict[str, list[tuple[str, str]]]:
-    """Log -> label and file (relative) of the reports that this program can make; rows of another program are left out."""
+    """Log -> label and file (relative) of reports this program can make; other programs' rows are left out."""
     folder.mkdir(exist_ok=True)
     made: dict[str, list[tuple[str, str]]] = {}
     for k, change in enumerate(changes):
@@ -28,7 +28,6 @@ def reports_of(
 
 
 def _write(row: Rows, results: str, out: Path) -> bool:
-    """Whether there is an estimate to report of."""
     (flight,) = flights([row["log"] if row["parts"] == 1 else f"{row['log']}-*.mcap"])
     settings = Settings(row["label"], configuration(results, row["configuration_sha256"]))
     with TemporaryDirectory(prefix="landfix-") as scratch:

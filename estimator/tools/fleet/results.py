@@ -32,7 +32,7 @@ SCHEMA: Final = pa.schema([(f.name, _type(f.type)) for f in msgspec.structs.fiel
 
 
 class Results:
-    """The folder of one label. Raises FleetError where the store refuses."""
+    """The folder of one label. Raises FleetError."""
 
     def __init__(self, folder: str, label: str) -> None:
         self._fs, root = open_at(folder)
@@ -43,7 +43,7 @@ class Results:
             raise FleetError(f"{folder}: cannot be written ({error.strerror or error})") from None
 
     def keys(self) -> dict[str, str]:
-        """The key of each log that has a row."""
+        """Keys of logs with a row."""
         tables = (self._read(file, ["log", "key"]) for file in self._files())
         return {row["log"]: row["key"] for table in tables for row in table.to_pylist()}
 
@@ -57,7 +57,7 @@ class Results:
             self._write(_table(rows))
 
     def compact(self) -> None:
-        """The rows of small files in files of _ROWS_A_FILE and fewer, by log; no more than those are in memory."""
+        """Merge small files into files of _ROWS_A_FILE rows at most, by log, in bounded memory."""
         group: list[tuple[str, pa.Table]] = []
         for file in [*self._files(), ""]:
             table = self._read(file) if file else None
@@ -75,7 +75,6 @@ class Results:
             self._fs.rm_file(file)
 
     def _write(self, table: pa.Table) -> str:
-        """The file's name."""
         name = sha256("".join(table.column("key").to_pylist()).encode()).hexdigest()[:24] + ".parquet"
         sink = pa.BufferOutputStream()
         pq.write_table(table, sink, compression="zstd")
@@ -110,7 +109,7 @@ def keep_configuration(folder: str, text: str) -> None:
 
 
 def configuration(folder: str, digest: str) -> str | None:
-    """The text of that sha256; None: each log had its own."""
+    """Configuration of that sha256; None: each log's own."""
     fs, root = open_at(folder)
     try:
         text: str = fs.cat_file(f"{root.rstrip('/')}/configurations/{digest}.toml").decode()
@@ -120,7 +119,7 @@ def configuration(folder: str, digest: str) -> str | None:
 
 
 def read(folder: str, labels: Iterable[str] = ()) -> pa.Table:
-    """The rows of these labels (none: all) with the column label. Raises FleetError where there are none."""
+    """Rows of these labels (none: all) with the column label. Raises FleetError without any."""
     fs, root = open_at(folder)
     found = sorted(unquote(PurePosixPath(p).name.partition("=")[2]) for p in fs.glob(f"{root.rstrip('/')}/label=*"))
     labels = list(labels) or found
@@ -136,7 +135,6 @@ def read(folder: str, labels: Iterable[str] = ()) -> pa.Table:
 
 
 def _once(table: pa.Table) -> pa.Table:
-    """The rows by label and log, each key once: what was interrupted while it was compacted has some twice."""
     names = [name for name in ("label", "log", "key") if name in table.column_names]
     table = table.sort_by([(name, "ascending") for name in names])
     keys = list(zip(*(table.column(name).to_pylist() for name in names), strict=True))

@@ -1,4 +1,4 @@
-"""A row a flight; its fields are the columns of the Parquet files, null where a flight has no value."""
+"""A row a flight; fields are the Parquet columns, null without a value."""
 
 import math
 from typing import Any, Final
@@ -17,10 +17,9 @@ COSTS: Final = frozenset({"cpu_s", "wall_s", "memory_mb", "read_bytes"})  # diff
 class Row(msgspec.Struct, frozen=True, kw_only=True):
     """One flight under one label.
 
-    key: of inputs, configuration, program and options; inputs_sha256: of the bytes used; code: of the source files; nis,
-    refused: by "topic kind" and reason; *_exceeded: errors above the level; available: share within the alert limits;
-    outage_end_m: RMS;
-    error: reason for no result.
+    key: of inputs, configuration, program, options; inputs_sha256: of the bytes; code: of the source files; nis, refused: by
+    "topic kind" and reason; *_exceeded: errors above the level; available: share within alert limits; outage_end_m: RMS; error:
+    why no result.
     """
 
     key: str
@@ -87,7 +86,7 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def of_evaluation(evaluation: Evaluation) -> dict[str, Any]:
-    """The columns that an evaluation fills."""
+    """Columns of an evaluation."""
     found: dict[str, Any] = {
         "duration_s": evaluation.duration_s,
         "distance_m": evaluation.distance_m,
@@ -128,7 +127,6 @@ def _errors(evaluation: Evaluation) -> dict[str, float]:
 
 
 def _measurements(aids: tuple[AidSummary, ...]) -> dict[str, Any]:
-    """Each source's mean squared standardised innovation, and that of all by their fused measurements; refusals by reason."""
     refused: dict[str, int] = {}
     for aid in aids:
         for reason, n in aid.reasons.items():

@@ -1,4 +1,4 @@
-"""All flights of a list through the estimator, a row each; those that have a row are left alone."""
+"""All flights of a list through the estimator; those with a row are skipped."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -21,9 +21,9 @@ _KEPT_EVERY_S: Final = 10.0  # rows that came meanwhile are what the loss of thi
 
 
 class RunSummary(msgspec.Struct, frozen=True):
-    """Flights listed, known, done now; failed: rows with an error; unfinished: log and reason.
+    """Flights listed, known, done; failed: rows with an error; unfinished: log and reason.
 
-    hours: of flight; hours_a_core_hour, read_bytes, stored_bytes: of those done now; memory_mb: of the largest worker.
+    hours: of flight; hours_a_core_hour, read_bytes, stored_bytes: of those done; memory_mb: largest worker.
     """
 
     label: str
@@ -64,7 +64,7 @@ def run(
     client: Client,
     progress: Callable[[float, str], None] = lambda _, __: None,
 ) -> RunSummary:
-    """Compute the rows that are missing into `folder`. Raises FleetError."""
+    """Compute missing rows into `folder`. Raises FleetError."""
     kept = Results(folder, settings.label)
     if settings.configuration is not None:
         keep_configuration(folder, settings.configuration)
@@ -96,7 +96,7 @@ def run(
 
 
 class _Counts:
-    """What came so far."""
+    """Counts so far."""
 
     def __init__(self, label: str, flights: int, known: int) -> None:
         self._label, self._flights, self._known = label, flights, known
@@ -105,7 +105,7 @@ class _Counts:
         self._unfinished: dict[str, str] = {}
 
     def add(self, flight: Flight, result: Row | Exception) -> None:
-        """What came of one flight."""
+        """Add a flight's result."""
         if not isinstance(result, Row):
             self._unfinished[flight.log] = f"{type(result).__name__}: {' '.join(str(result).split())}"[:200]
             return
@@ -119,7 +119,7 @@ class _Counts:
 
     @property
     def ended(self) -> int:
-        """Flights that are through, whatever came of them."""
+        """Finished flights, failed ones included."""
         return self._done + len(self._unfinished)
 
     @property

@@ -1,6 +1,6 @@
-"""Some topics of an MCAP log in a store, by its index and byte ranges (mcap.dev/spec).
+"""Some topics of an MCAP log in a store, by index and byte ranges (mcap.dev/spec).
 
-Of an uncompressed chunk only the wanted messages are read; a log without an index is read whole.
+Without an index the log is read whole.
 """
 
 import struct
@@ -52,7 +52,7 @@ Range = tuple[int, int]
 
 
 class Copied(NamedTuple):
-    """What came of it: bytes read from the store, and the sha256 of the copy."""
+    """Bytes read from the store, sha256 of the copy."""
 
     read_bytes: int
     digest: str
@@ -82,14 +82,14 @@ class Index:
         return {r.id for r in self.records[Opcode.CHANNEL] if isinstance(r, Channel) and wanted(r.topic)}
 
     def extras(self) -> list[Range]:
-        """Where the metadata records stand, and the attachments that a replay or an evaluation reads."""
+        """Positions of metadata, and attachments that are read."""
         metadata = [(r.offset, r.offset + r.length) for r in self.records[Opcode.METADATA_INDEX] if isinstance(r, MetadataIndex)]
         files = [r for r in self.records[Opcode.ATTACHMENT_INDEX] if isinstance(r, AttachmentIndex)]
         return [*((r.offset, r.offset + r.length) for r in files if r.name in _ATTACHMENTS), *metadata]
 
 
 def copy_selected(fs: fsspec.AbstractFileSystem, path: str, out: Path, wanted: Callable[[str], bool]) -> Copied:
-    """Write the log with the wanted topics to `out`. Raises OSError of the store."""
+    """Write the wanted topics to `out`. Raises OSError."""
     source = _Source(fs, path)
     index = source.index()
     with out.open("w+b") as file:
@@ -107,7 +107,6 @@ def copy_selected(fs: fsspec.AbstractFileSystem, path: str, out: Path, wanted: C
 
 
 def _usable(index: Index) -> bool:
-    """Whether the index says which topics each chunk holds."""
     return bool(index.chunks) and all(chunk.message_index_offsets for chunk in index.chunks)
 
 
@@ -129,7 +128,6 @@ def _write(file: BinaryIO, source: "_Source", index: Index, channels: set[int]) 
 
 
 def _runs(chunks: list[ChunkIndex], channels: set[int]) -> Iterator[tuple[bool, list[ChunkIndex]]]:
-    """The chunks that hold a wanted channel, in runs of those to be read in part and those to be read whole."""
     run: list[ChunkIndex] = []
     was = False
     for chunk in chunks:
@@ -147,7 +145,6 @@ def _runs(chunks: list[ChunkIndex], channels: set[int]) -> Iterator[tuple[bool, 
 
 
 def _partial(source: "_Source", chunk: ChunkIndex, channels: set[int]) -> bytes:
-    """An uncompressed chunk with the messages of these channels, in their order."""
     after = chunk.chunk_start_offset + chunk.chunk_length
     (indexes,) = source.pieces(iter([(after, after + chunk.message_index_length)]))
     ours, starts = set[int](), {chunk.uncompressed_size}
@@ -172,7 +169,7 @@ class _Source:
         self.read_bytes = 0
 
     def index(self) -> Index | None:
-        """None where the file has none."""
+        """The index, or None."""
         end = self._read([(max(0, self.size - _FOOTER_BYTES), self.size)])[0]
         opcode, length = _FRAME.unpack_from(end) if len(end) == _FOOTER_BYTES else (0, 0)
         if opcode != Opcode.FOOTER or length != _FOOTER_BYTES - _FRAME.size - len(MAGIC) or not end.endswith(MAGIC):
@@ -202,7 +199,6 @@ class _Source:
 
 
 def _groups(ranges: Iterator[Range]) -> Iterator[list[Range]]:
-    """Ranges in groups that fit into memory together."""
     group: list[Range] = []
     for a, b in ranges:
         if group and b - group[0][0] > _AT_ONCE_BYTES:

@@ -1,6 +1,6 @@
-"""Logs in a store: any address of fsspec (a path, s3://, gs://, az://, http://), and which parts are one flight.
+"""Logs at fsspec addresses (path, s3://, gs://, az://, http://), parts grouped into flights.
 
-Keys and endpoints come from the store's own client; a worker needs the same.
+Keys and endpoints come from the store's own client, on workers too.
 """
 
 from collections.abc import Iterable, Sequence
@@ -23,7 +23,7 @@ _STATE: Final = (  # the first that a store lists, a digest of the content befor
 
 
 class Flight(msgspec.Struct, frozen=True):
-    """A flight in the store. parts: addresses; state: of size and version of each, as the store lists them."""
+    """parts: addresses; state: size and version of each."""
 
     log: str
     parts: tuple[str, ...]
@@ -32,7 +32,7 @@ class Flight(msgspec.Struct, frozen=True):
 
 
 def flights(sources: Sequence[str]) -> list[Flight]:
-    """The flights of addresses, globs and lists of them (.txt), by name; the parts of one are one. Raises FleetError."""
+    """Flights of addresses, globs and lists (.txt), by name. Raises FleetError."""
     files: dict[str, dict[str, Any]] = {}
     for source in sources:
         for address in _lines(source) if source.endswith(_LISTS) else [source]:
@@ -45,7 +45,7 @@ def flights(sources: Sequence[str]) -> list[Flight]:
 
 
 def open_at(address: str) -> tuple[fsspec.AbstractFileSystem, str]:
-    """The file system of an address, and the path in it. Raises FleetError where its package is missing."""
+    """File system and path of an address. Raises FleetError where its package is missing."""
     try:
         fs, path = url_to_fs(address)
     except (ImportError, ValueError) as error:
@@ -54,12 +54,12 @@ def open_at(address: str) -> tuple[fsspec.AbstractFileSystem, str]:
 
 
 def is_stored(address: str) -> bool:
-    """Whether an address leads into a store, and is no path of this machine."""
+    """Whether an address is in a store, not a local path."""
     return "://" in address
 
 
 def local_path(address: str) -> Path:
-    """A file of this machine with the log: itself, or fsspec's copy, made once a process. Raises FleetError."""
+    """Local file of a log: itself, or fsspec's copy, once a process. Raises FleetError."""
     if not is_stored(address):
         return Path(address)
     try:
@@ -78,7 +78,6 @@ def _lines(source: str) -> Iterable[str]:
 
 
 def _found(address: str) -> dict[str, dict[str, Any]]:
-    """Address and what the store says of each file."""
     fs, path = open_at(address)
     local = fs.protocol == "file" or "file" in fs.protocol
     try:

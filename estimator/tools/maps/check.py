@@ -37,7 +37,7 @@ class Repeat(msgspec.Struct, frozen=True):
 
 
 class Nested(msgspec.Struct, frozen=True):
-    """A landmark whose middle lies inside another's outline."""
+    """A landmark inside another's outline."""
 
     outer: str
     inner: str

@@ -61,7 +61,7 @@ class Row(msgspec.Struct, frozen=True):
 
 
 class Stretch(msgspec.Struct, frozen=True):
-    """A part of the route beyond the limit, and what it lacks."""
+    """A part of the route beyond the limit, and its lack."""
 
     from_m: float
     to_m: float

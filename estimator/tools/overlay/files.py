@@ -21,7 +21,7 @@ _MISSING = {  # by the names of attachments of landfix run
 
 
 class Scenery(NamedTuple):
-    """The cameras, and what stands around."""
+    """Cameras and map."""
 
     rig: StereoRig
     landmarks: LandmarkMap

@@ -48,11 +48,11 @@ class Flight:
 
     @property
     def used(self) -> frozenset[str]:
-        """Landmarks that some fix identified."""
+        """Landmarks of all fixes."""
         return frozenset[str]().union(*self.identified.values())
 
     def take(self, record: Record) -> None:
-        """Keep what is needed of a record."""
+        """Keep a record's relevant data."""
         if record.topic == ODOMETRY_TOPIC:
             stamp_ns = stamp_of(record.data) or 0
             if not 0 <= stamp_ns - self._kept_ns < _SPACING_NS:

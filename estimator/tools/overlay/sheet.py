@@ -27,7 +27,7 @@ T = TypeVar("T")
 
 
 class Shown(NamedTuple):
-    """A fix and the left image that it came from."""
+    """A fix and its left image."""
 
     fix: LandmarkFix
     image: ImageName

@@ -48,7 +48,7 @@ class Gain(msgspec.Struct, frozen=True):
 
     @property
     def is_sure(self) -> bool:
-        """Whether it is more than chance."""
+        """Whether it exceeds chance."""
         return abs(self.mean) > _SURE * self.error
 
 
@@ -65,7 +65,7 @@ class TunedKey(msgspec.Struct, frozen=True):
 
 
 class TuneResult(msgspec.Struct, frozen=True):
-    """What came of it; held_out: logs that were not tuned on."""
+    """Result; held_out: logs not tuned on."""
 
     values: Values
     keys: tuple[TunedKey, ...]
