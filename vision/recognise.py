@@ -88,7 +88,7 @@ class SegmentPath:
         self._memory.clear()
 
     def locate(self, images: Images, near: list[Landmark], t_ns: int, prior: Prior) -> Identified | Result:
-        """Identified, or the reason; near: the landmarks that may be in view."""
+        """Identified, or the reason; near: candidate landmarks."""
         if len(near) > self._config.most_landmarks:  # among some of them only, a wrong one may appear certain
             return nothing(t_ns, "prior_too_wide", f"{images.remark}{len(near)} landmarks may be in view")
         known = catalogue(near)

@@ -78,7 +78,7 @@ def correspond(
 
 
 def disparity_offset(rig: StereoRig) -> float:
-    """What u_l - u_r is at infinity: cx_l - cx_r."""
+    """u_l - u_r at infinity: cx_l - cx_r."""
     return rig.left.cx - rig.right.cx
 
 

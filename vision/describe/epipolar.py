@@ -31,7 +31,7 @@ class Residual:
 
 
 def region_residual(matches: Sequence[Match | Unmatched]) -> Residual | None:
-    """From regions that correspond found; None without one."""
+    """From matched regions; None without."""
     found = [(m.vertical_px, np.hypot(m.vertical_sigma_px, _FLOOR_PX)) for m in matches if isinstance(m, Match)]
     return _median(np.array(found)) if found else None
 

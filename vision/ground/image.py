@@ -95,7 +95,7 @@ class GroundImage:
         return np.column_stack((position_n, self.heights.at(position_n)))
 
     def contains(self, position_n: Array) -> NDArray[np.bool_]:
-        """Which positions (N, 2) the image shows."""
+        """Positions (N, 2) within the image."""
         px, (height, width) = self.to_pixels(position_n), self.image.shape[:2]
         inside: NDArray[np.bool_] = np.all((px >= 0.0) & (px <= (width - 1.0, height - 1.0)), axis=1)
         return inside

@@ -91,7 +91,7 @@ def _session(model: Model, inputs: set[str], outputs: int) -> Any:
 def recognise_learned(
     models: Learned, rig: StereoRig, image: Image, prior: Prior, map_image: GroundImage
 ) -> Recognised | NotRecognised:
-    """Where the left camera of the rig took the image."""
+    """Pose of the left camera."""
     p_nc, R_nc = rig.camera_pose(prior.p_n, prior.R_nb)
     grid = make_grid((rig.left, p_nc, R_nc), map_image, _ROWS)
     if grid is None:

@@ -46,7 +46,7 @@ class PeakConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def peak_flaw(peak: Peak, config: PeakConfig) -> str:
-    """Why a peak makes no fix; empty where it does."""
+    """Why a peak makes no fix, or empty."""
     if peak.curvature is None:
         return "the search has no single peak inside its area"
     if peak.ratio < config.ratio:
@@ -59,7 +59,7 @@ def peak_flaw(peak: Peak, config: PeakConfig) -> str:
 
 
 def stands_alone(peak: Peak, config: PeakConfig) -> bool:
-    """Whether a peak that counts is a fix without any other evidence."""
+    """Whether a peak is a fix alone."""
     return (
         peak.ratio >= config.alone_ratio
         and peak.correlation >= config.alone_correlation

@@ -63,7 +63,7 @@ class Registered:
         return self.chance < config.sure and self.ratio >= config.sure_ratio
 
     def is_likely(self, config: RegistrationConfig) -> bool:
-        """Whether two images that say the same are."""
+        """Likely: two that agree make a fix."""
         return self.chance < config.likely and self.ratio >= config.likely_ratio
 
 

@@ -36,7 +36,7 @@ class _Held:
 
 
 class Constellation:
-    """What was seen lately and is not identified yet."""
+    """Recent unidentified regions."""
 
     def __init__(self, config: MemoryConfig | None = None) -> None:
         self._config = config or MemoryConfig()

@@ -198,7 +198,7 @@ class Mapper:
             self.tracks[k].add(one)
 
     def position(self, track: Track) -> Position:
-        """Where a thing is, and how surely."""
+        """Position of an object with covariance."""
         inverses = [np.linalg.inv(one.R + len(track.observations) * np.outer(one.depth, one.depth)) for one in track.observations]
         C = np.linalg.inv(self._prior + np.sum(inverses, axis=0))
         weights = [C @ S_inverse for S_inverse in inverses]
@@ -214,7 +214,7 @@ class Mapper:
         return Position(l_n, max(chi2, 1.0) * own, F, chi2)
 
     def same(self, a: Track, b: Track) -> bool:
-        """Whether two tracks may be one thing; what repeats moves both alike."""
+        """Whether two tracks may be one object; common errors move both."""
         off, sides = a.position - b.position, a.log_sides - b.log_sides
         if float(np.hypot(off[0], off[1])) > np.exp(max(a.log_sides[0], b.log_sides[0])):  # no part in common
             return False

@@ -189,7 +189,7 @@ class StereoOdometry:
         return stereo(first.left, first.right, raw, px[:, 1], coarse, self._right)
 
     def motion_of(self, tracks: Tracks, prediction: Prediction) -> Step:
-        """The motion that tracks show, checked."""
+        """The checked motion of tracks."""
         plane = self._plane(prediction)
         n = len(tracks.y0)
         everything = chosen = np.ones(n, np.bool_)

@@ -45,7 +45,7 @@ class Points:
     R: Array
 
     def chosen(self, rows: NDArray[np.bool_]) -> "Points":
-        """Some of them."""
+        """These rows."""
         return Points(self.x_n[rows], self.px[rows], self.R[rows])
 
 

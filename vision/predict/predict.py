@@ -51,7 +51,7 @@ class PredictConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class _Refused(NamedTuple):
-    """Why there is no fix."""
+    """Reason for no fix."""
 
     outcome: str
     detail: str
@@ -68,7 +68,7 @@ class _Decided(NamedTuple):
 
 
 class PredictPath:
-    """Images of one rig, searched where the prior says."""
+    """Images of one rig, searched near the prior."""
 
     def __init__(self, rig: StereoRig, config: PredictConfig, pose: PoseConfig, gone: float, *, alone: bool = True) -> None:
         """gone: assumed share of vanished landmarks; alone: one landmark may be a fix."""

@@ -29,7 +29,7 @@ Grade = Literal["sure", "weak", "refused"]
 
 
 class VerifyConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a position must show."""
+    """Requirements of a position."""
 
     landmark_share: Annotated[float, Meta(gt=0, lt=1, description="support per length of a landmark that counts as seen")] = 0.2
     share: Annotated[float, Meta(gt=0, lt=1, description="support per length of all landmarks in view, at least")] = 0.22
@@ -69,7 +69,7 @@ class VerifyConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What speaks for the best candidate before it is fitted."""
+    """Evidence for a candidate before its fit."""
 
     score_px: float
     share: float
@@ -108,7 +108,7 @@ class Fitted:
 
 
 def flaw(evidence: Evidence, config: VerifyConfig) -> str:
-    """Why a position is not worth a fit; empty where it is."""
+    """Why a position is not fitted; empty if it is."""
     if evidence.score_px < config.least_px or evidence.share < config.share:
         return f"the outlines are not where they should be: {evidence.share:.0%} of them on edges"
     if evidence.seen < config.seen:
@@ -179,7 +179,7 @@ def same_position(one: Fitted, other: Fitted, config: VerifyConfig) -> bool:
 
 
 def grade(evidence: Evidence, fitted: Fitted, config: VerifyConfig) -> tuple[Grade, str]:
-    """The grade of a fit, and why it is no better."""
+    """Grade of a fit, and its reason."""
     fit = fitted.pose
     if fit.factor > config.factor:
         return "refused", f"residuals are {fit.factor:.1f} times what they should be"

@@ -30,7 +30,7 @@ class Images:
 
 
 def usable(left: Image | None, right: Image | None, rig: StereoRig) -> Images | str:
-    """The usable images, or why there is none."""
+    """Usable images, or the reason for none."""
     flaws = [
         "missing" if image is None else image_flaw(image, camera) for image, camera in ((left, rig.left), (right, rig.right))
     ]

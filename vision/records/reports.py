@@ -62,14 +62,14 @@ def fix_of(pose: PoseEstimate, t_ns: int, landmarks: tuple[str, ...], similarity
 
 
 def nothing(t_ns: int, outcome: str, detail: str, regions: int = 0) -> Result:
-    """No fix, and nothing seen that could be one."""
+    """No fix and no candidate."""
     return Result(None, VisionReport(t_ns, t_ns, outcome, detail.removesuffix("; "), regions))
 
 
 def report_of(
     t_ns: int, outcome: str, detail: str, reports: Sequence[RegionReport], residual_px: float = float("nan")
 ) -> VisionReport:
-    """The message of what became of the regions."""
+    """The report message."""
     candidates = [r for r in reports if r.candidates > 0]
     return VisionReport(
         t_ns, t_ns, outcome, detail.removesuffix("; "), len(reports), len(candidates), tuple(r.landmark for r in candidates),

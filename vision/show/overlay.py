@@ -43,7 +43,7 @@ class Residuals:
 
     @property
     def found(self) -> float:
-        """Share of the points where an edge is."""
+        """Share of points with an edge."""
         return float(np.mean(np.isfinite(self.offset_px)))
 
     @property
@@ -162,7 +162,7 @@ def add_strip(canvas: Canvas, parts: Sequence[str]) -> Canvas:
 
 
 def in_view(camera: CameraModel, p_nc: Array, R_nc: Array, landmarks: Sequence[Landmark]) -> list[Landmark]:
-    """Those of the landmarks whose bounding sphere may reach into the image."""
+    """Landmarks whose bounding sphere reaches into the image."""
     corners = np.array(
         [[0.0, 0.0], [camera.width - 1.0, 0.0], [0.0, camera.height - 1.0], [camera.width - 1.0, camera.height - 1.0]]
     )

@@ -53,7 +53,7 @@ class Ground:
 
     @classmethod
     def procedural(cls, rng: np.random.Generator) -> Self:
-        """Countryside: where the textures lie, and the season's tint, are drawn."""
+        """Countryside with random textures and tint."""
         turn, shift = rng.uniform(-math.pi, math.pi), rng.uniform(0.0, 200.0, 2)
         tint = rng.uniform(0.92, 1.12) * rng.uniform(0.93, 1.07, 3)
         return cls(
