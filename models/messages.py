@@ -34,7 +34,7 @@ class ImuSample(msgspec.Struct, frozen=True, eq=False):
 
 
 class ReceiverState(IntEnum):
-    """What a GNSS receiver reports of interference; where several hold, the largest."""
+    """A GNSS receiver's report of interference; the largest applies."""
 
     UNKNOWN = 0  # or nothing to report
     JAMMED = 1  # or a spoofing signal that it mitigates
@@ -115,7 +115,7 @@ class LandmarkFix(msgspec.Struct, frozen=True, eq=False):
 
 
 class ImageName(msgspec.Struct, frozen=True):
-    """Which image: its topic and the stamp of its exposure."""
+    """An image by topic and exposure stamp."""
 
     topic: str
     t_ns: int

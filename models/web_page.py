@@ -44,7 +44,7 @@ def text(of: object) -> str:
 
 
 def table(of: Table) -> str:
-    """A table under its title; nothing where there are no rows."""
+    """A titled table; nothing without rows."""
     title, header, rows = of
     if not rows:
         return ""
@@ -55,7 +55,7 @@ def table(of: Table) -> str:
 
 
 def verdict(word: str, colour: str) -> str:
-    """One of GOOD, USABLE, BAD, in a word of its own."""
+    """One of GOOD, USABLE, BAD, in own words."""
     return f'<span class="verdict {colour}">{text(word)}</span>'
 
 

@@ -206,7 +206,7 @@ class Parts:
         return {name: int(np.sum(bits >> k & 1)) for k, name in enumerate(DEFAULTED)}
 
     def reject(self, bad: NDArray[np.bool_], text: str | list[str]) -> None:
-        """Findings for the parts that are bad."""
+        """Findings for bad parts."""
         for k, i in enumerate(np.flatnonzero(bad).tolist()):
             self.rejected.append(Finding(self.features[i], self.ids[i], text if isinstance(text, str) else text[k]))
 
@@ -224,7 +224,7 @@ def _strips(shape: _LineString | _MultiLineString, width_m: float) -> list[list[
 
 
 def head_of(data: bytes) -> File:
-    """A file's head; an empty one where the bytes are none."""
+    """A file's head, or an empty one."""
     try:
         return _decode_file(data)
     except _UNDECODABLE:

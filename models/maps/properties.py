@@ -28,7 +28,7 @@ class Properties(
         "building_color": "building:color", "levels": "building:levels", "roof_color_plain": "roof_color",
     },
 ):  # fmt: skip
-    """What is read of a feature; everything else is left alone."""
+    """Properties that are read."""
 
     id: Any = None
     osm_id_at: Any = None

@@ -58,7 +58,7 @@ class _Moment:
 
 
 def in_order(messages: list[Input]) -> list[Input]:
-    """By arrival; what arrives together keeps its order."""
+    """By arrival, stable."""
     return sorted(messages, key=lambda m: m.arrived_ns)
 
 

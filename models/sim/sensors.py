@@ -106,7 +106,7 @@ def feel(motion: Motion, origin: Origin | None) -> tuple[Array, Array]:
 
 
 def measure(imu: Imu, motion: Motion, origin: Origin | None, dt: float, rng: np.random.Generator) -> ImuRecord:
-    """The record of an IMU that samples this motion every dt seconds."""
+    """Record of an IMU sampling this motion every dt seconds."""
     grade, noise = GRADES[imu.grade], GRADES[imu.grade].noise
     gyro, accel = feel(motion, origin)
     gyro_bias = _walk(grade.gyro_turn_on * imu.turn_on, noise.gyro_walk, len(gyro), dt, rng)

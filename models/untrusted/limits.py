@@ -25,7 +25,7 @@ class TooLargeError(ValueError):
 
 
 def allowed(read_bytes: int, ratio: int = BINARY_RATIO) -> int:
-    """Bytes that may come out of so many."""
+    """Bytes allowed out of so many."""
     return SPARE_BYTES + ratio * read_bytes
 
 
@@ -39,6 +39,6 @@ def check(declared: int, packed: int, most: int, what: str = "a chunk") -> None:
 
 
 def check_records(count: int, read_bytes: int) -> None:
-    """Raises TooLargeError where so many records are in so many bytes."""
+    """Raises TooLargeError for too many records in so many bytes."""
     if count > (most := SPARE_RECORDS + read_bytes):
         raise TooLargeError(f"more than {most} records are packed into {read_bytes} bytes")
