@@ -81,7 +81,7 @@ class Problem:
 
     @property
     def mask(self) -> NDArray[np.bool_]:
-        """Which of the shared unknowns are free."""
+        """Mask of free shared unknowns."""
         if not self.free:
             return np.zeros(sum(4 + len(c.distortion) for c in self.cameras) + _POSE * (len(self.cameras) - 1), dtype=np.bool_)
         lens = [f for camera in self.free for f in camera]

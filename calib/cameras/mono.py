@@ -80,7 +80,7 @@ class Mono:
 def calibrate(
     views: Sequence[View], board: Board, lens: Lens = Lens.FIVE, progress: Callable[[float], None] | None = None
 ) -> Mono:
-    """The camera that took the views. Raises CalibrationError with what to do."""
+    """Calibrate the camera of the views. Raises CalibrationError."""
     check_sizes(views)
     chosen = [views[i] for i in choose(views, board)]
     rest = [v for v in views if v not in chosen]
@@ -183,7 +183,7 @@ def board_pose(camera: CameraModel, seen: Seen) -> Pose:
 
 
 def with_covariance(camera: CameraModel, covariance: Array) -> CameraModel:
-    """The camera, knowing how well it is known."""
+    """The camera with its covariance."""
     return CameraModel(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion, covariance)
 
 

@@ -56,7 +56,7 @@ class Stereo:
 def calibrate(
     pairs: Sequence[Pair], board: Board, lens: Lens = Lens.FIVE, progress: Callable[[float], None] | None = None
 ) -> Stereo:
-    """The rig that took the pairs. Raises CalibrationError with what to do."""
+    """Calibrate the rig of the pairs. Raises CalibrationError."""
     report = progress or (lambda _: None)
     for side in (0, 1):
         check_sizes([pair[side] for pair in pairs], f"{('left', 'right')[side]} images")

@@ -11,7 +11,7 @@ from models.messages import Array
 
 
 def parse(text: str, where: str) -> dict[str, Any]:
-    """The mapping that a YAML text is. Raises CalibrationError."""
+    """The mapping of a YAML text. Raises CalibrationError."""
     try:
         value = YAML(typ="safe", pure=True).load(text)
     except YAMLError as error:

@@ -121,7 +121,7 @@ class _Problem:
         return fewer
 
     def R_bc(self, theta: Array) -> Array:
-        """The rotation that theta means."""
+        """Rotation of theta."""
         return np.asarray(so3.matrix(so3.quat_exp(theta[_ROTATION].copy())) @ self.R_bc0)
 
     def residuals(self, theta: Array, poses: BoardPoses | None = None) -> Array:

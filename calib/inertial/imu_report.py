@@ -49,7 +49,7 @@ def of_camera_imu(result: CameraImu) -> Verdict:
 
 
 def static_tables(result: Static) -> list[Table]:
-    """Noise of each axis, and what the configuration takes."""
+    """Noise of each axis, and configuration values."""
     rows = [
         (
             f"{name} {axis}", f"{n.density:.3g} +- {_percent(n.density_sigma / n.density)}", _seconds(n.white_from_s),

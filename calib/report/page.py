@@ -24,7 +24,7 @@ _NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"
 
 
 def write(path: Path, title: str, judged: Verdict, tables: Sequence[Table], figure: Figure) -> list[Path]:
-    """PATH.html and PATH.png; returns both. Raises CalibrationError where they cannot be written."""
+    """Write PATH.html and PATH.png; returns both. Raises CalibrationError."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110)
     png, page = path.with_suffix(".png"), path.with_suffix(".html")
@@ -49,7 +49,7 @@ def camera_table(title: str, camera: CameraModel) -> Table:
 
 
 def mono_tables(result: Mono) -> list[Table]:
-    """All that is known of one camera."""
+    """Tables of one camera."""
     views = [(v.name, f"{rms:.3f}") for v, rms in zip(result.views, result.solution.view_rms(), strict=True)]
     change = " ".join(f"{x:.1f}" for x in result.spread)
     facts = [
@@ -67,7 +67,7 @@ def mono_tables(result: Mono) -> list[Table]:
 
 
 def stereo_tables(result: Stereo) -> list[Table]:
-    """All that is known of a rig."""
+    """Tables of a rig."""
     rig = result.rig
     assert rig.covariance_rc is not None
     sigma = np.sqrt(np.diagonal(rig.covariance_rc))
@@ -108,7 +108,7 @@ def _left_out(held_out: HeldOut) -> str:
 
 
 def dropped(images: Sequence[Dropped]) -> Table:
-    """What was not used."""
+    """Images not used."""
     return "Not used", ("image", "reason"), [(d.name, d.reason) for d in images]
 
 

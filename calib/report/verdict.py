@@ -40,14 +40,14 @@ class Figure(msgspec.Struct, frozen=True):
 
     @property
     def grade(self) -> Grade:
-        """NaN, where a figure could not be had, is usable at best."""
+        """NaN (no figure) is usable at best."""
         if np.isnan(self.value):
             return Grade.USABLE
         return Grade.GOOD if self.value <= self.good else Grade.USABLE if self.value <= self.usable else Grade.REDO
 
 
 class Verdict(msgspec.Struct, frozen=True):
-    """What to think of a calibration."""
+    """Verdict on a calibration."""
 
     figures: tuple[Figure, ...]
 
@@ -58,7 +58,7 @@ class Verdict(msgspec.Struct, frozen=True):
 
     @property
     def advice(self) -> list[str]:
-        """What to do, the worst first, each once."""
+        """Advice, the worst first, without repetition."""
         worst = sorted((f for f in self.figures if f.grade > Grade.GOOD), key=lambda f: -f.grade)
         return list(dict.fromkeys(f.advice for f in worst))
 
