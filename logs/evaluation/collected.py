@@ -82,7 +82,7 @@ class Collected:
 
     @property
     def yardstick(self) -> str:
-        """What the estimate is compared with, in a word."""
+        """Reference of the comparison, in a word."""
         return "reference" if self.reference else "truth"
 
 

@@ -77,7 +77,7 @@ class Comparison:
 
     @property
     def has_attitude(self) -> Mask:
-        """Where both have an attitude, (n,)."""
+        """Rows with both attitudes, (n,)."""
         return np.asarray(np.isfinite(self.theta_error).all(axis=1))
 
 
@@ -204,7 +204,7 @@ def assess(
     *,
     relative: bool = True,
 ) -> Evaluation:
-    """The Evaluation of what was read; relative: whether with relative errors."""
+    """Evaluate collected data; relative: with relative errors."""
     estimate, truth = collected.estimate, collected.truth
     outages = find_outages(collected.aids, collected.health, estimate, outage_s)
     start, end = int(estimate.t_ns[0]), int(estimate.t_ns[-1])

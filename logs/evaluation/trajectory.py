@@ -52,7 +52,7 @@ class Trajectory:
 
     @property
     def has_attitude(self) -> Mask:
-        """Which rows give an attitude, (n,)."""
+        """Rows with an attitude, (n,)."""
         return np.asarray(np.isfinite(self.q_wxyz).all(axis=1))
 
 

@@ -26,7 +26,7 @@ _READ: Final = 0.7  # share of the time
 
 
 class Format(StrEnum):
-    """What can be written."""
+    """Output formats."""
 
     CSV = "csv"
     PARQUET = "parquet"

@@ -1,4 +1,4 @@
-"""Which stream of a log is at fault: its stamps, its values or its axes. What was found names the odd one out.
+"""Faulty streams of a log: stamps, values, axes.
 
     watch = Watch(origin)
     for message in messages:
@@ -6,8 +6,7 @@
     for finding in watch.findings():        # the most likely cause first
         print(finding)
 
-Each cause is one function of the collected streams. Memory is bounded: a long log is judged stretch by stretch.
-May import models.
+A cause is a function of the streams; memory is bounded. May import models.
 """
 
 from logs.findings.streams import Finding

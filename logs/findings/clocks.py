@@ -1,6 +1,6 @@
-"""Faults of stamps. They are judged against the times of arrival, and only where most other streams agree with those.
+"""Faults of stamps against arrivals, where most other streams agree with these.
 
-offset = stamp - arrival: a delay makes it negative, a clock that runs too fast makes it grow, a clock that is set makes it jump.
+offset = stamp - arrival: negative for delays, growing for fast clocks, jumping for set ones.
 """
 
 from typing import Final, NamedTuple
@@ -40,7 +40,7 @@ _KNOWN_STEPS: Final = (  # s, tolerance, name
 
 
 class _Line(NamedTuple):
-    """offset = a + slope * arrival; error: of the slope, one sigma; scatter: about the line, robust."""
+    """offset = a + slope * arrival; error: sigma of the slope; scatter: robust."""
 
     slope: float
     error: float
@@ -48,7 +48,7 @@ class _Line(NamedTuple):
 
 
 def few_stamps(stream: Stream) -> Cause | None:
-    """Distinct stamps / samples < 1/2, while the values change: too few digits, float32, or a stamp that was never set."""
+    """Distinct stamps / samples < 1/2 with changing values: few digits, float32, never set."""
     n, distinct = len(stream.t_s), len(np.unique(stream.t_s))
     if distinct == 1:
         return Cause(f"all {n} stamps are the same", float(stream.arrived_s[0]), "let the sender set header.stamp", unfit=True)
@@ -61,7 +61,7 @@ def few_stamps(stream: Stream) -> Cause | None:
 
 
 def sawtooth(stream: Stream) -> Cause | None:
-    """Stamps fall back by the same amount again and again: a part of the time is missing in them."""
+    """Stamps repeatedly fall back by one amount: a part of the time is missing."""
     steps = np.diff(stream.t_s)
     back = np.flatnonzero(steps < -0.05)
     if len(back) < 3:
@@ -77,7 +77,7 @@ def sawtooth(stream: Stream) -> Cause | None:
 
 
 def two_clocks(stream: Stream) -> Cause | None:
-    """Offsets in two groups, more than 10 x their scatter and 50 ms apart, with 10 changes or more: two senders."""
+    """Two offset groups, 10 x scatter and 50 ms apart, 10 changes or more: two senders."""
     offset = _offset(stream)
     ordered = np.sort(offset)
     k = int(np.argmax(np.diff(ordered))) + 1
@@ -94,7 +94,7 @@ def two_clocks(stream: Stream) -> Cause | None:
 
 
 def batches(stream: Stream) -> Cause | None:
-    """Steps > 5 x the median step hold > 90 % of the span, and at least 10 follow: n samples are stamped on arrival. IMU only."""
+    """Steps > 5 x median hold > 90 % of the span, 10 or more: IMU stamped in batches on arrival."""
     steps = np.diff(stream.t_s)
     waits = np.flatnonzero(steps > 5.0 * max(float(np.median(steps)), 0.0))
     span = float(stream.t_s[-1] - stream.t_s[0])
@@ -110,7 +110,7 @@ def batches(stream: Stream) -> Cause | None:
 
 
 def step(stream: Stream, others: list[Stream]) -> Cause | None:
-    """The stamps jump by > 0.1 s against their own rhythm, and stay steady against the arrivals for 2 s before and after."""
+    """Stamps jump by > 0.1 s, steady for 2 s before and after."""
     if not _agree(others):
         return None
     offset = _offset(stream)
@@ -134,7 +134,7 @@ def step(stream: Stream, others: list[Stream]) -> Cause | None:
 
 
 def rate(stream: Stream, others: list[Stream]) -> Cause | None:
-    """k = 1 + slope of the offset, |k - 1| > 500 ppm and beyond doubt, while the others' clocks run with the arrivals."""
+    """k = 1 + slope of the offset, |k - 1| > 500 ppm and significant, others regular."""
     line = _line(stream)
     if line is None or not _agree(others):
         return None
@@ -158,7 +158,7 @@ _UNITS: Final = (
 
 
 def shifted(stream: Stream, others: list[Stream]) -> Cause | None:
-    """Median offset ahead of the arrivals, or later than any delay, while those of most other streams are neither."""
+    """Median offset ahead of arrivals or beyond any delay, unlike most others."""
     offset = float(np.median(_offset(stream)))
     if not _out(stream.kind, offset) or 2 * sum(not _out(s.kind, float(np.median(_offset(s)))) for s in others) <= len(others):
         return None
@@ -178,7 +178,7 @@ def disorder(stream: Stream) -> Cause | None:
 
 
 def silence(stream: Stream, others: list[Stream]) -> Cause | None:
-    """An IMU gives nothing for > 1 s while others go on."""
+    """An IMU is silent for > 1 s while others go on."""
     if stream.kind != IMU:
         return None
     heard = np.sort(np.concatenate([np.minimum(s.t_s, s.arrived_s) for s in others])) if others else np.empty(0)
@@ -208,7 +208,6 @@ def _spread(x: Array) -> float:
 
 
 def _line(stream: Stream) -> _Line | None:
-    """Least squares over the offsets; None: too short."""
     t, offset = stream.arrived_s - stream.arrived_s[0], _offset(stream)
     if len(t) < 10 or np.ptp(t) < _LEAST_SPAN_S:
         return None
@@ -219,7 +218,6 @@ def _line(stream: Stream) -> _Line | None:
 
 
 def _agree(others: list[Stream]) -> bool:
-    """Do more than half of the others have stamps that run as fast as the arrivals? Else the arrivals may be at fault."""
     lines = [line for line in map(_line, others) if line is not None]
     return 2 * sum(abs(line.slope) < max(_DRIFT, 3.0 * line.error) for line in lines) > len(lines)
 
@@ -230,7 +228,6 @@ def _out(kind: str, offset: float) -> bool:
 
 
 def _known(size: float) -> str:
-    """The name of a step or an offset, '' where it has none."""
     size = abs(size)
     name = next((name for length, tolerance, name in _KNOWN_STEPS if abs(size - length) < tolerance), "")
     hours = round(size / 1800.0)

@@ -1,4 +1,4 @@
-"""Values that stand still while the vehicle does not: one reading repeated under new stamps, copies, zeros."""
+"""Held values in motion: repeated readings, copies, zeros."""
 
 from typing import Final
 
@@ -18,14 +18,14 @@ _EARTH_M: Final = 111_320.0  # a degree of latitude
 
 
 def zero(stream: Stream) -> Cause | None:
-    """Every reading of a sensor is exactly zero; a body may have no speed, but no field is 0."""
+    """Every reading is exactly zero; a velocity may be."""
     if stream.kind in (FIX, VELOCITY, "velocity_body") or stream.values.any():
         return None
     return Cause("all its readings are 0", float(stream.arrived_s[0]), "its driver gives no data: mend it, or leave it out")
 
 
 def held(stream: Stream, imu: Stream | None) -> Cause | None:
-    """A reading is repeated to the bit for > 2 s (an IMU's for > 0.2 s) while the vehicle moves, and was not before."""
+    """A reading repeats to the bit for > 2 s (IMU 0.2 s) in motion, and varied before."""
     same = np.all(np.diff(stream.values[:, _measured(stream)], axis=0) == 0.0, axis=1)
     spans = runs(same)
     if not len(spans):
@@ -44,7 +44,7 @@ def held(stream: Stream, imu: Stream | None) -> Cause | None:
 
 
 def copies(stream: Stream) -> Cause | None:
-    """Each reading stands m >= 2 times, under stamps of its own: of the whole stream, and most runs are of equal length."""
+    """Each reading appears m >= 2 times under own stamps, mostly in equal runs."""
     if stream.kind not in _EVIDENCE:
         return None
     same = np.all(np.diff(stream.values[:, _measured(stream)], axis=0) == 0.0, axis=1)
@@ -62,12 +62,10 @@ def copies(stream: Stream) -> Cause | None:
 
 
 def _measured(stream: Stream) -> slice:
-    """The columns that are measured."""
     return slice(0, 3) if stream.kind == FIX else slice(None)
 
 
 def _moves(stream: Stream, imu: Stream | None, first: int, last: int) -> bool:
-    """A receiver: at > 1 m/s just before, or 5 m away behind it; others: most samples of the IMU change meanwhile."""
     if stream.kind == IMU:
         return True
     if stream.kind == VELOCITY:
@@ -84,12 +82,10 @@ def _moves(stream: Stream, imu: Stream | None, first: int, last: int) -> bool:
 
 
 def _speed(fixes: Stream, first: int, last: int) -> float:
-    """Of a straight line from the first to the last row, m/s."""
     dt = float(fixes.t_s[last] - fixes.t_s[first])
     return _way(fixes, first, last) / dt if dt > 0.2 else 0.0
 
 
 def _way(fixes: Stream, first: int, last: int) -> float:
-    """Of a straight line from the first to the last row, m."""
     east = _EARTH_M * np.cos(np.radians(fixes.values[first, 0]))
     return float(np.linalg.norm((fixes.values[last, :2] - fixes.values[first, :2]) * [_EARTH_M, east]))

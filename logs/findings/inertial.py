@@ -1,4 +1,4 @@
-"""Faults of an IMU's values: units, axes, dead or clipped axes, a rate that is too low."""
+"""Faults of an IMU: units, axes, dead or clipped axes, low rate."""
 
 from typing import Final
 
@@ -31,7 +31,7 @@ _DEAD: Final = "this axis of the sensor or of its driver is dead"
 
 
 def slow(imu: Stream) -> Cause | None:
-    """Fewer than 20 samples a second, in the median."""
+    """Median rate below 20 Hz."""
     if imu.kind != IMU:
         return None
     steps = np.diff(np.unique(imu.t_s))
@@ -43,7 +43,7 @@ def slow(imu: Stream) -> Cause | None:
 
 
 def halves(imu: Stream) -> Cause | None:
-    """Some drivers send gyroscope and accelerometer in messages of their own, the other zero."""
+    """Gyroscope and accelerometer in separate messages, the other zero."""
     if imu.kind != IMU:
         return None
     empty = [float(np.mean(~imu.values[:, part].any(axis=1))) for part in (slice(0, 3), slice(3, 6))]
@@ -54,7 +54,7 @@ def halves(imu: Stream) -> Cause | None:
 
 
 def units(imu: Stream) -> Cause | None:
-    """|f| over the stillest second is not gravity, or the turn rate is beyond any vehicle's."""
+    """|f| over the stillest second is not gravity, or rates exceed any vehicle's."""
     if imu.kind != IMU:
         return None
     finite = imu.values[np.isfinite(imu.values).all(axis=1)]
@@ -90,9 +90,9 @@ def spikes(imu: Stream) -> Cause | None:
 
 
 def tilted(imu: Stream) -> Cause | None:
-    """At rest and level f_b = (0, 0, -g) in FRD, and on average; another direction means other axes or a mounting rotation.
+    """At rest and level f_b = (0, 0, -g) in FRD; else axes or mounting.
 
-    At the beginning of the log only: a flight may end upside down.
+    At the log's start only: a flight may end upside down.
     """
     if imu.kind != IMU or imu.arrived_s[0] > _BEGINNING_S:
         return None
@@ -107,9 +107,9 @@ def tilted(imu: Stream) -> Cause | None:
 
 
 def frozen_axis(imu: Stream) -> Cause | None:
-    """An axis repeats its value to the bit for > 2 s, while most samples of another axis of its sensor change.
+    """An axis repeats to the bit for > 2 s while another of its sensor changes.
 
-    It changed before, or from the beginning both others have noise: a simulation without noise has axes that read 0 throughout.
+    It changed before, or both others have noise from the start.
     """
     if imu.kind not in (IMU, "magnetometer"):
         return None
@@ -132,7 +132,7 @@ def frozen_axis(imu: Stream) -> Cause | None:
 
 
 def clipped(imu: Stream) -> Cause | None:
-    """20 samples or more at one extreme, to the bit, at a full scale of the sensor (2 %)."""
+    """20 samples or more at an extreme, to the bit, near a full scale (2 %)."""
     if imu.kind != IMU:
         return None
     for axis in range(6):
@@ -146,12 +146,10 @@ def clipped(imu: Stream) -> Cause | None:
 
 
 def _tilt_deg(f_b: Array) -> float:
-    """Between the specific force and the body's up."""
     return float(np.degrees(np.arccos(np.clip(-f_b[2] / max(float(np.linalg.norm(f_b)), 1e-9), -1.0, 1.0))))
 
 
 def _stillest(imu: Stream) -> Array:
-    """Mean of gyro and accel (6,) over the second in which they vary least."""
     samples = imu.values[np.isfinite(imu.values).all(axis=1)]
     hz = len(samples) / max(float(np.ptp(imu.arrived_s)), 1e-9)
     width = min(max(2, round(hz * _STILL_WINDOW_S)), max(1, len(samples)))
@@ -163,7 +161,6 @@ def _stillest(imu: Stream) -> Array:
 
 
 def _is_noisy(x: Array) -> bool:
-    """Do its differences have the correlation of white noise?"""
     d = np.diff(x[np.isfinite(x)])
     power = float(d @ d)
     return power > 0.0 and float(d[1:] @ d[:-1]) / power < _NOISE and float(np.mean(d != 0.0)) > _LIVELY

@@ -1,4 +1,4 @@
-"""All causes of one stretch, the most likely first: stamps, then what a sensor reads, then what two of them say of one motion."""
+"""All causes of a stretch, likeliest first: stamps, readings, then pairs of sensors."""
 
 from collections.abc import Iterator
 from itertools import chain
@@ -15,7 +15,7 @@ _FIELD, _BARO = "magnetometer", "baro"
 
 
 def judged(streams: Streams, origin: Vec3 | None) -> Iterator[tuple[str, Finding]]:
-    """Kind of cause (its order is their order) and finding. A stream with a fault is no witness against another."""
+    """Kind of cause (ordered) and finding; a faulty stream is no witness."""
     known = {name: s for name, s in sorted(streams.items()) if len(s.t_s) >= _LEAST_SAMPLES}
     guilty = set[str]()
     stages = (_stamps(known), _values(known, origin), _relations(known, guilty))
@@ -27,7 +27,6 @@ def judged(streams: Streams, origin: Vec3 | None) -> Iterator[tuple[str, Finding
 
 
 def _stamps(streams: Streams) -> Iterator[tuple[str, str, Cause]]:
-    """At most one of each stream."""
     for name, s in streams.items():
         others = [other for topic, other in streams.items() if topic != name]
         cause = (
@@ -39,7 +38,6 @@ def _stamps(streams: Streams) -> Iterator[tuple[str, str, Cause]]:
 
 
 def _values(streams: Streams, origin: Vec3 | None) -> Iterator[tuple[str, str, Cause]]:
-    """What a sensor reads; at most one of each stream."""
     imu = next((s for s in streams.values() if s.kind == IMU), None)
     for name, s in streams.items():
         others = [other for topic, other in streams.items() if topic != name]
@@ -63,14 +61,12 @@ def _values(streams: Streams, origin: Vec3 | None) -> Iterator[tuple[str, str, C
 
 
 def _relations(streams: Streams, guilty: set[str]) -> Iterator[tuple[str, str, Cause]]:
-    """Two measurements of one motion."""
     sound = {name: s for name, s in streams.items() if name not in guilty}
     imu = next(((name, s) for name, s in sound.items() if s.kind == IMU), None)
     yield from chain(_turns(sound, *imu) if imu else (), _ways(sound))
 
 
 def _turns(streams: Streams, name: str, imu: Stream) -> Iterator[tuple[str, str, Cause]]:
-    """Against the gyroscope; where two sources or more agree against it, it is the one at fault."""
     turned = turning.Turned(imu)
     related = {n: turning.attitude_relation(turned, s) for n, s in streams.items() if s.kind in TURNING}
     bad = {n: r for n, r in related.items() if r is not None and r.differs()}
@@ -98,7 +94,6 @@ def _alike(turns: list[np.ndarray]) -> bool:
 
 
 def _ways(streams: Streams) -> Iterator[tuple[str, str, Cause]]:
-    """Positions against velocities of the same receiver, and against positions of another source."""
     fixes = {n: s for n, s in streams.items() if s.kind == FIX}
     for name, fix in fixes.items():
         speed = {n: position.velocity_relation(fix, s) for n, s in streams.items() if s.kind == VELOCITY}

@@ -1,4 +1,4 @@
-"""Positions against each other, against the velocity of the receiver, and against the origin of the map."""
+"""Positions against each other, the receiver's velocity, the map's origin."""
 
 from typing import Final
 
@@ -52,7 +52,7 @@ def far(stream: Stream, origin: Vec3 | None) -> Cause | None:
 
 
 def scattered(stream: Stream) -> Cause | None:
-    """|p_k - (p_k-1 + p_k+1) / 2| > 8 x the reported accuracy of most fixes in 4 s: jammed, or the accuracy is not its own."""
+    """|p_k - (p_k-1 + p_k+1) / 2| > 8 x the accuracy, most fixes of 4 s: jammed, or wrong accuracy."""
     t, p = positions(stream)
     sigma = stream.in_order().values[:, 3]
     if len(t) < _LEAST_STEPS or not sigma.any():
@@ -73,7 +73,7 @@ def scattered(stream: Stream) -> Cause | None:
 
 
 def positions(stream: Stream) -> tuple[Array, Array]:
-    """Stamps (n,) [s] and positions (n, 3) [m]: NED about the first fix, or p_n as they are."""
+    """Stamps (n,) [s], positions (n, 3) [m]: NED about the first fix, or p_n."""
     ordered = stream.in_order()
     if stream.kind != "gnss":
         return ordered.t_s, ordered.values[:, :3]
@@ -86,7 +86,7 @@ def positions(stream: Stream) -> tuple[Array, Array]:
 
 
 def velocity_relation(fixes: Stream, velocity: Stream) -> Relation | None:
-    """Way between fixes as a function of the velocity's integral, north and east; None: it moves too little."""
+    """Way between fixes by the velocity's integral, horizontal; None: too little motion."""
     ordered = velocity.in_order()
     if len(ordered.t_s) < _LEAST_STEPS:
         return None
@@ -96,12 +96,12 @@ def velocity_relation(fixes: Stream, velocity: Stream) -> Relation | None:
 
 
 def position_relation(fixes: Stream, others: Stream) -> Relation | None:
-    """Way of the other source as a function of that between fixes, north and east."""
+    """Way of the other source by that between fixes, horizontal."""
     return _related(positions(fixes), positions(others), 2)
 
 
 def of_velocity(found: Relation) -> str:
-    """What is wrong between position (b) and velocity (a)."""
+    """Error between position (b) and velocity (a)."""
     if found.mirrored:
         (nn, ne), (_, ee) = found.O
         if abs(ne) > 0.8:
@@ -113,13 +113,13 @@ def of_velocity(found: Relation) -> str:
 
 
 def of_position(found: Relation) -> str:
-    """What is wrong with a position (b) against the fixes (a)."""
+    """Error of a position (b) against fixes (a)."""
     named = of_velocity(found)
     return _unit(found.scale, _LENGTH_UNITS) if not found.mirrored and found.angle_deg <= 10.0 else named
 
 
 def pressure(stream: Stream) -> Cause | None:
-    """A barometer whose median is not that of the air in Pa."""
+    """A barometer's median is not air pressure in Pa."""
     usual = float(np.median(stream.values))
     if _PRESSURE_PA[0] < usual < _PRESSURE_PA[1]:
         return None
@@ -135,7 +135,6 @@ def _unit(factor: float, units: tuple[tuple[float, str], ...]) -> str:
 
 
 def _related(a: tuple[Array, Array], b: tuple[Array, Array], axes: int) -> Relation | None:
-    """Steps of b (its own stamps, >= 1 s apart) as a function of those of a at the same times."""
     (t_a, p_a), (t_b, p_b) = a, b
     if len(t_a) < 2 or len(t_b) < 2:
         return None
@@ -153,5 +152,4 @@ def _related(a: tuple[Array, Array], b: tuple[Array, Array], axes: int) -> Relat
 
 
 def _distance(origin: Vec3, lat: float, lon: float) -> float:
-    """Along the chord, m."""
     return float(np.linalg.norm(Origin(*origin).to_ned(float(lat), float(lon), origin[2])))

@@ -1,4 +1,4 @@
-"""How two measurements of one motion are related: by a rotation or reflection, and a scale."""
+"""Relation of two measurements of a motion: rotation or reflection, scale."""
 
 from typing import Final, NamedTuple
 
@@ -11,7 +11,7 @@ _MIRROR_GAIN: Final = 0.5  # a reflection explains the rest this much better tha
 
 
 class Relation(NamedTuple):
-    """b = scale * O @ a + rest; O (k, k) orthogonal. rest, equal: share of b's power that the fit, and b = a, leave."""
+    """b = scale * O @ a + rest; O (k, k) orthogonal; rest, equal: share of b's power left by the fit, and by b = a."""
 
     O: Array  # noqa: E741  (the group's name)
     scale: float
@@ -31,17 +31,17 @@ class Relation(NamedTuple):
         return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
     def differs(self, rest: float = 0.35, angle_deg: float = 10.0, scale: float = 1.25) -> bool:
-        """The fit explains the motion, equality does not, and they are clearly apart."""
+        """The fit explains the motion, equality does not."""
         apart = self.mirrored or self.angle_deg > angle_deg or abs(np.log(max(self.scale, 1e-12))) > np.log(scale)
         return self.rest < rest and self.rest < 0.5 * self.equal and apart
 
 
 def relation(a: Array, b: Array) -> Relation:
-    """The least-squares one of rows a_i -> b_i, (n, k):
+    """Least squares over rows a_i -> b_i, (n, k):
 
-        max tr(O^T C),  C = sum_i b_i a_i^T = U S V^T,  O = U D V^T,  scale = tr(O^T C) / sum |a_i|^2    (Umeyama 1991)
+    max tr(O^T C),  C = sum_i b_i a_i^T = U S V^T,  O = U D V^T,  scale = tr(O^T C) / sum |a_i|^2    (Umeyama 1991)
 
-    D makes O a rotation, unless a reflection explains b much better. Directions without motion are taken as unturned.
+    D makes O a rotation, unless a reflection is much better; unmoved directions are unturned.
     """
     C = b.T @ a
     power_a, power_b = max(float(np.sum(a**2)), 1e-30), max(float(np.sum(b**2)), 1e-30)
@@ -57,6 +57,5 @@ def relation(a: Array, b: Array) -> Relation:
 
 
 def _fit(O: Array, C: Array, power_a: float, power_b: float) -> tuple[float, float]:  # noqa: E741
-    """Scale, and the share of b's power that it leaves."""
     along = float(np.trace(O.T @ C))
     return max(along, 0.0) / power_a, 1.0 - max(along, 0.0) ** 2 / (power_a * power_b)

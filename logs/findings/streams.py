@@ -1,4 +1,4 @@
-"""What the causes are found in: the stamps, times of arrival and values of each topic."""
+"""Streams for the causes: stamps, arrivals, values by topic."""
 
 from collections.abc import Callable, Mapping
 from typing import NamedTuple, TypeAlias
@@ -25,7 +25,7 @@ TURNING: tuple[str, ...] = (POSE, ODOMETRY, ATTITUDE)  # their last four values 
 
 
 class Cause(NamedTuple):
-    """What is wrong with a stream; since_s: on the clock of arrival; advice: what to set or mend; unfit: useless as an IMU."""
+    """A stream's fault; since_s: arrival clock; advice: remedy; unfit: useless as IMU."""
 
     what: str
     since_s: float
@@ -34,10 +34,7 @@ class Cause(NamedTuple):
 
 
 class Finding(msgspec.Struct, frozen=True):
-    """who: the topic at fault; since_s: after the log's first arrival; advice: what to set or mend.
-
-    unfit: the log cannot be navigated by.
-    """
+    """who: topic at fault; since_s: after the first arrival; advice: remedy; unfit: no navigation possible."""
 
     who: str
     what: str
@@ -50,7 +47,7 @@ class Finding(msgspec.Struct, frozen=True):
 
 
 class Stream(NamedTuple):
-    """A topic's messages in the order of arrival: stamps and times of arrival (n,) [s], values (n, k) as `row` has them."""
+    """A topic's messages by arrival: stamps, arrivals (n,) [s], values (n, k) by `row`."""
 
     kind: str
     t_s: Array
@@ -58,14 +55,14 @@ class Stream(NamedTuple):
     values: Array
 
     def in_order(self) -> "Stream":
-        """The rows with finite values, each stamp once, in the order of the stamps."""
+        """Rows with finite values by distinct stamps."""
         rows = np.flatnonzero(np.isfinite(self.values).all(axis=1))
         t_s, first = np.unique(self.t_s[rows], return_index=True)
         rows = rows[first]
         return Stream(self.kind, t_s, self.arrived_s[rows], self.values[rows])
 
     def arrival_at(self, t_s: float) -> float:
-        """When the message stamped nearest to t_s arrived."""
+        """Arrival of the message stamped nearest to t_s."""
         return float(self.arrived_s[int(np.argmin(np.abs(self.t_s - t_s)))])
 
 
@@ -74,7 +71,7 @@ OfStream: TypeAlias = Callable[[Stream], Cause | None]
 
 
 def row(message: Input) -> tuple[str, tuple[float, ...]] | None:
-    """Kind and values of a message: gyro, accel; lat, lon, alt, sigma; v_n; p, q; q; a reading's own. None: it has none."""
+    """Kind and values of a message, or None: gyro, accel; lat, lon, alt, sigma; v_n; p, q; q; a reading's."""
     match message:
         case ImuSample():
             return IMU, (*message.gyro_b, *message.accel_b)
@@ -95,6 +92,6 @@ def row(message: Input) -> tuple[str, tuple[float, ...]] | None:
 
 
 def runs(same: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """First and last row (m, 2) of each run of rows that equal the row before; same (n - 1,) bool."""
+    """First and last row (m, 2) of runs equal to the row before; same (n - 1,) bool."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
     return edges.reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""The gyroscope against what turns with the body: attitudes of other sources, the magnetic field."""
+"""The gyroscope against other attitudes and the magnetic field."""
 
 from itertools import permutations, product
 from typing import Final
@@ -25,7 +25,7 @@ _SIGNED: Final = [
 
 
 class Turned:
-    """Integral of the gyroscope, (3,) rad from the first sample to any time within the stream; nan outside."""
+    """Gyroscope integral, (3,) rad, within the stream; nan outside."""
 
     def __init__(self, imu: Stream) -> None:
         ordered = imu.in_order()
@@ -40,7 +40,7 @@ class Turned:
 
 
 def attitude_relation(turned: Turned, stream: Stream) -> Relation | None:
-    """log(q_i^-1 q_i+1) of the stream as a function of the gyroscope's integral; None: it turns too little."""
+    """log(q_i^-1 q_i+1) by the gyroscope's integral; None: too little turning."""
     ordered = stream.in_order()
     rows = _apart(ordered.t_s, _STEP_S)
     if len(rows) < _LEAST_STEPS:
@@ -60,7 +60,7 @@ def attitude_relation(turned: Turned, stream: Stream) -> Relation | None:
 
 
 def misturned(found: Relation, stream: Stream, name: str) -> Cause | None:
-    """The cause in a relation to the gyroscope; name: of the IMU."""
+    """Cause of a relation to the gyroscope; name: of the IMU."""
     if not found.differs():
         return None
     since_s = float(stream.arrived_s[0])
@@ -78,7 +78,7 @@ def misturned(found: Relation, stream: Stream, name: str) -> Cause | None:
 
 
 def field(turned: Turned, stream: Stream) -> Cause | None:
-    """Changes of the field m_b against the turn phi of the body, for each way S to exchange and mirror its axes:
+    """Field changes m_b against the turn phi, for each axis exchange and mirror S:
 
     S dm = (exp(-phi) - 1) (S m - b),   b: hard iron, by least squares
     """
@@ -109,7 +109,7 @@ def field(turned: Turned, stream: Stream) -> Cause | None:
 
 
 def _field_rest(back: Array, m: Array, change: Array) -> float:
-    """Share of the changes' power that m' = exp(-phi) (m - b) + b leaves, over the b that fits best."""
+    """Share of power left by m' = exp(-phi) (m - b) + b, over b."""
     left = change - np.einsum("nij,nj->ni", back, m)
     A = -back.reshape(-1, 3)
     b, *_ = np.linalg.lstsq(A.T @ A + 1e-3 * np.trace(A.T @ A) * np.eye(3), A.T @ left.ravel(), rcond=None)
@@ -117,6 +117,5 @@ def _field_rest(back: Array, m: Array, change: Array) -> float:
 
 
 def _apart(t_s: Array, step_s: float) -> Array:
-    """Rows that are step_s apart, at least; t_s grows."""
     _, first = np.unique(np.floor((t_s - t_s[0]) / step_s) if len(t_s) else t_s, return_index=True)
     return np.asarray(first)

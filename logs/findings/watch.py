@@ -1,4 +1,4 @@
-"""Collects the streams of a log while it is read, and judges them stretch by stretch, so that memory knows a limit."""
+"""Collects a log's streams and judges them by stretches, in bounded memory."""
 
 from array import array
 from typing import Final
@@ -31,13 +31,13 @@ class _Column:
         return Stream(self.kind, t_s, arrived_s, np.array(self.values).reshape(-1, self.width))
 
     def forget(self, before_ns: int) -> None:
-        """The messages that arrived earlier."""
+        """Forget earlier arrivals."""
         k = int(np.searchsorted(np.array(self.arrived_ns), before_ns))
         del self.t_ns[:k], self.arrived_ns[:k], self.values[: k * self.width]
 
 
 class Watch:
-    """What is given to the estimator, seen by the causes. origin: lat_deg, lon_deg, alt_m of the map, where it is configured."""
+    """The estimator's inputs for the causes; origin: lat_deg, lon_deg, alt_m of the map."""
 
     def __init__(self, origin: Vec3 | None = None) -> None:
         self._origin = origin
@@ -47,7 +47,7 @@ class Watch:
         self._found: dict[tuple[str, str], Finding] = {}
 
     def add(self, message: Input) -> None:
-        """The next message, in the order of arrival."""
+        """Add a message, in order of arrival."""
         made = row(message)
         if made is None:
             return
@@ -66,7 +66,7 @@ class Watch:
             self._count += 1
 
     def findings(self) -> list[Finding]:
-        """The causes found so far, the most likely first; of each topic and kind of cause the earliest."""
+        """Causes so far, likeliest first; the earliest by topic and kind."""
         self._judge()
         return [finding for _, finding in sorted(self._found.items(), key=lambda item: item[0][1])]
 

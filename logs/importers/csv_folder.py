@@ -83,7 +83,7 @@ class _Reader:
         return table
 
     def has(self, stem: str) -> bool:
-        """Whether there is such a file."""
+        """Whether the file exists."""
         return self._path(stem) is not None
 
     def _path(self, *stems: str) -> Path | None:

@@ -48,7 +48,7 @@ class Points(msgspec.Struct, frozen=True, tag="points"):
 
 
 class Level(msgspec.Struct, frozen=True):
-    """A horizontal line that means something."""
+    """A labelled horizontal line."""
 
     y: float
     name: str

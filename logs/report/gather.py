@@ -77,7 +77,7 @@ class Histogram:
         self.counts: Indices = np.zeros(len(self.edges_s) - 1, np.intp)
 
     def add(self, seconds: Array) -> None:
-        """More of them."""
+        """Count these times."""
         inside = np.clip(seconds, _SHORTEST_S * 1.001, _LONGEST_S * 0.999)
         self.counts += np.histogram(inside, self.edges_s)[0]
 
@@ -129,7 +129,7 @@ class Gathered:
                 self.unreadable[record.topic] += 1
 
     def close(self) -> None:
-        """There are no more."""
+        """End of the log."""
         self._flush()
 
     def _count(self, record: Record) -> None:

@@ -54,7 +54,7 @@ class Illustrations:
 
 @dataclass(frozen=True, slots=True)
 class Material:
-    """All that a report is made of."""
+    """Contents of a report."""
 
     collected: Collected
     gathered: Gathered
@@ -65,7 +65,7 @@ class Material:
 
     @property
     def start_ns(self) -> int:
-        """Zero of the time that is shown."""
+        """Zero of the time axis."""
         return int(self.collected.estimate.t_ns[0])
 
     @property

@@ -40,7 +40,7 @@ class Level(IntEnum):
 
     @property
     def word(self) -> str:
-        """What it comes to, of a flight."""
+        """Verdict in a word."""
         return ("no problems found", "warnings", "do not rely on this estimate")[self]
 
 

@@ -31,7 +31,7 @@ def no_illustrations(_: Collected, __: Gathered) -> Illustrations:
 
 
 class Page(msgspec.Struct, frozen=True):
-    """What was written, and its verdict."""
+    """File written, and verdict."""
 
     report: str
     size: int

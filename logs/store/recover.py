@@ -16,7 +16,7 @@ _PROGRESS_EVERY: Final = 10_000  # messages
 
 
 class RecoverSummary(msgspec.Struct, frozen=True):
-    """What was kept, and what was not."""
+    """Counts kept and lost."""
 
     messages: int
     attachments: int

@@ -84,7 +84,7 @@ class ImuMounting(msgspec.Struct, frozen=True):
     others: dict[str, Vec3] = {}
 
     def of(self, topic: str) -> "ImuMounting":
-        """That of one of several IMUs."""
+        """Mounting of one IMU."""
         other = self.others.get(topic)
         return self if other is None else ImuMounting(self.axes, *other)
 

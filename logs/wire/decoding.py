@@ -52,7 +52,7 @@ _SECOND_NS: Final = 1_000_000_000
 
 
 class Topics(SensorTopics, frozen=True):
-    """Which topics feed which input; of the optional sensors see SensorTopics."""
+    """Topics of each input; optional sensors: SensorTopics."""
 
     imu: tuple[str, ...] = ("/imu",)
     gnss: tuple[str, ...] = ("/gnss",)
@@ -126,7 +126,7 @@ class Decoder:
 
     @property
     def types(self) -> dict[str, str]:
-        """What is read: topic -> type."""
+        """topic -> type of all inputs."""
         return {topic: schema for topic, (schema, _) in self._known.items()}
 
     def _route(self, topics: tuple[str, ...], schema: str, convert: _Convert) -> None:
@@ -183,7 +183,7 @@ def decode_aid_status(data: bytes) -> AidStatus:
 
 
 def decode_vision_request(data: bytes, arrived_ns: int) -> VisionRequest:
-    """Read back. Raises ValueError for bytes that are no VisionRequest."""
+    """Read back. Raises ValueError."""
     message = _deserialize(data, schemas.VISION_REQUEST)
     p_n, q_nb_wxyz, covariance = _pose(message.pose)
     named = ((message.left_topic, message.left_stamp), (message.right_topic, message.right_stamp))
@@ -192,7 +192,7 @@ def decode_vision_request(data: bytes, arrived_ns: int) -> VisionRequest:
 
 
 def decode_odometry_request(data: bytes, arrived_ns: int) -> OdometryRequest:
-    """Read back. Raises ValueError for bytes that are no OdometryRequest."""
+    """Read back. Raises ValueError."""
     message = _deserialize(data, schemas.ODOMETRY_REQUEST)
     if not len(message.topics) == len(message.stamps) == 4:
         raise ValueError(f"an odometry request of {len(message.topics)} topics and {len(message.stamps)} stamps, not of four")

@@ -376,7 +376,7 @@ def _transform(header: Any, child: str, translation: Vec3, rotation: Any) -> Any
 
 
 def whole_image() -> Any:
-    """A sensor_msgs/msg/RegionOfInterest that says: all of it."""
+    """A sensor_msgs/msg/RegionOfInterest of the whole image."""
     return _new("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
 
 
@@ -395,7 +395,7 @@ def _time(t_ns: int) -> Any:
 
 
 def _new(name: str, /, **fields: Any) -> Any:
-    """A message object of rosbags, whose classes are made at run time."""
+    """A message object of rosbags' run-time classes."""
     make: Any = STORE.types[name]
     return make(**fields)
 

@@ -26,7 +26,7 @@ _ENCODINGS: Final[dict[str, tuple[int, type[np.generic]]]] = {
 
 
 class ImageError(Exception):
-    """Bytes that are no image: one line that says why."""
+    """Bytes that are no image; one line."""
 
 
 def encode_image(t_ns: int, image: Pixels, topic: str, *, jpeg_quality: int | None = None, frame: str = "camera") -> Encoded:

@@ -37,7 +37,7 @@ _UNKNOWN_M2_S2: Final = 1e6  # of a velocity's component that wheels do not meas
 
 
 class Range(NamedTuple):
-    """Along the body's down axis, and its 1-sigma, m; kind: whose."""
+    """Range along the body's down axis, 1-sigma, m; kind: source."""
 
     metres: float
     sigma_m: float
@@ -70,7 +70,7 @@ class Chain:
         self._open: Step | None = None
 
     def add(self, step: Step) -> list[Step]:
-        """The increments that have come to their end with this step."""
+        """Increments completed by this step."""
         before, done = self._open, list[Step]()
         jitter_ns = min(max(_GAP_NS, (step.t_ns - step.t0_ns) // 2), _JITTER_NS)
         if before is not None and abs(step.t0_ns - before.t_ns) > jitter_ns:
