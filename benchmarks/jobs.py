@@ -24,11 +24,12 @@ def run_jobs(
     kind: type[Result],
     kept: Path,
     *,
-    processes: int = 1,
+    processes: int | None = 1,
     resume: bool = False,
     scheduler: str = "",
 ) -> list[Result]:
-    """The jobs' results in their order. kept: file of one line a job; with resume those that stand there are not done again.
+    """The jobs' results in their order. kept: file of one line a job; with resume those that stand there are not done again;
+    processes: None: one a core.
 
     work: a function of a module; kind: what it returns, for msgspec; scheduler: of workers in place of processes here. Raises
     what a job raised.

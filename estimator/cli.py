@@ -12,6 +12,7 @@ from estimator.commands import (
     demo,
     doctor,
     evaluate,
+    evidence,
     export,
     forecast,
     live,
@@ -138,6 +139,7 @@ app.command("overlay", rich_help_panel=PHOTOS)(overlay.command)
 app.add_typer(calibrate.app, name="calibrate", short_help="Calibrate cameras, stereo rigs and IMUs.", rich_help_panel=CALIBRATION)
 app.command("demo", rich_help_panel=MORE)(demo.command)
 app.command("doctor", rich_help_panel=MORE)(doctor.command)
+app.command("evidence", short_help="Write the evidence for the protection levels.", rich_help_panel=MORE)(evidence.command)
 app.add_typer(bench.app, name="bench", rich_help_panel=MORE)
 
 

@@ -15,10 +15,11 @@ from typing import TypeAlias
 import msgspec
 import numpy as np
 
+from benchmarks.drawn.alerts import cautions, table
 from benchmarks.drawn.faults import drawn, with_faults
 from benchmarks.drawn.rates import Flown, Rate, rate
 from benchmarks.flights.tasks import ROOT
-from benchmarks.integrity.runs import measured, village
+from benchmarks.integrity.runs import compared, flown, village
 from benchmarks.jobs import run_jobs
 from benchmarks.tables import Table
 
@@ -30,8 +31,8 @@ def main() -> None:
     count = round(args.hours * 3600.0 / args.seconds) if args.hours else args.flights
     jobs = [(seed, args.seconds) for seed in range(args.seed, args.seed + count)]
     kept = args.out / "flights.jsonl"
-    flown = run_jobs(jobs, fly, Flown, kept, processes=args.jobs, resume=True, scheduler=args.scheduler)
-    text = report(rate(flown), flown)
+    done = run_jobs(jobs, fly, Flown, kept, processes=args.jobs, resume=True, scheduler=args.scheduler)
+    text = report(rate(done), done)
     (args.out / "report.md").write_text(text)
     print(text)
 
@@ -43,12 +44,14 @@ def fly(job: Job) -> Flown:
     vehicle = "rotor" if rng.random() < 0.5 else "wing"
     flight = village(vehicle, "both", seconds, seed)
     faults, weight = drawn(rng, seconds)
-    row = measured(flight, with_faults(flight, faults, rng))
+    estimates, levels = flown(flight, with_faults(flight, faults, rng))
+    spans = [(flight.start_ns + round(f.from_s * 1e9), flight.start_ns + round(f.to_s * 1e9)) for f in faults]
+    row = compared(flight, estimates, levels)
     row = msgspec.structs.replace(row, group="drawn", flight=vehicle, kind=", ".join(map(str, faults)), size=seconds, seed=seed)
-    return Flown(seed, vehicle, seconds, faults, weight, row)
+    return Flown(seed, vehicle, seconds, faults, weight, row, cautions(levels, spans))
 
 
-def report(found: Rate, flown: Sequence[Flown]) -> str:
+def report(found: Rate, done: Sequence[Flown]) -> str:
     """As Markdown."""
     lines = [
         f"{found.flights} flights, {found.hours:.2f} h, effective sample size {found.ess:.1f}",
@@ -70,11 +73,14 @@ def report(found: Rate, flown: Sequence[Flown]) -> str:
     ]
     events = [
         (str(f.seed), f.vehicle, ", ".join(map(str, f.faults)) or "none", f"{f.row.worst:.3g}", f"{f.weight:.2g}")
-        for f in flown
+        for f in done
         if f.has_event
     ]
     listed = Table("Flights with an error above PL(1e-5)", ("seed", "vehicle", "faults", "worst e / PL", "weight"), events)
-    return "\n".join(f"- {line}" for line in lines) + f"\n{Table('Strata', columns, rows).markdown()}\n{listed.markdown()}\n"
+    return (
+        "\n".join(f"- {line}" for line in lines)
+        + f"\n{Table('Strata', columns, rows).markdown()}\n{table(done).markdown()}\n{listed.markdown()}\n"
+    )
 
 
 def arguments() -> argparse.Namespace:

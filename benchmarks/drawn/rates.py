@@ -20,7 +20,7 @@ NONE, SEVERAL = "no fault", "several faults"
 
 
 class Flown(msgspec.Struct, frozen=True):
-    """A drawn flight; row: what the campaign counts of it."""
+    """A drawn flight; row: what the campaign counts of it; cautions_s: from each fault to an alert, None: none while it lasts."""
 
     seed: int
     vehicle: str
@@ -28,6 +28,7 @@ class Flown(msgspec.Struct, frozen=True):
     faults: tuple[Fault, ...]
     weight: float
     row: Row
+    cautions_s: tuple[float | None, ...] = ()
 
     @property
     def stratum(self) -> str:

@@ -22,7 +22,8 @@ class Row(msgspec.Struct, frozen=True):
 
     events: errors above the level at 1e-3, 1e-5, 1e-7 per hour, on either axis, those 10 s apart or more; hazards: errors above
     the alert limit while the state is usable; alerts_s, stops_s: from the error passing the limit to a state other than usable,
-    and to "do not use" (None: not before it came back); worst: largest error / level at 1e-5; cells: error, level (in STEP
+    and to "do not use" (None: not before it came back); false_alerts: times that it ceases to be usable while the error stays
+    within the limit; worst: largest error / level at 1e-5; cells: error, level (in STEP
     decades), how many; fixes, wrong: of the identification frames; mistaken: of the wrong ones, those by a wrong identity.
     """
 
@@ -39,6 +40,7 @@ class Row(msgspec.Struct, frozen=True):
     hazards: int = 0
     alerts_s: tuple[float | None, ...] = ()
     stops_s: tuple[float | None, ...] = ()
+    false_alerts: int = 0
     worst: float = 0.0
     cells: tuple[tuple[int, int, int], ...] = ()
     fixes: int = 0
@@ -72,6 +74,7 @@ def row_of(levels: list[Integrity], t_ns: Times, error: Array) -> Row:
         hazards=int(np.sum(too_far & usable)),
         alerts_s=tuple(_delays(levels, t_ns, far, {Alert.CAUTION, Alert.DO_NOT_USE})),
         stops_s=tuple(_delays(levels, t_ns, far, {Alert.DO_NOT_USE})),
+        false_alerts=_false_alerts(usable, too_far),
         worst=float(ratio.max()),
         cells=_cells(found.horizontal, hpl[1]),
     )  # fmt: skip
@@ -96,6 +99,13 @@ def _delays(levels: list[Integrity], t_ns: Times, far: Mask, states: set[Alert])
             delays.append(0.0 if now else (alerted[0] - from_ns) * 1e-9 if alerted else None)
         last_ns = to_ns
     return delays
+
+
+def _false_alerts(usable: Mask, too_far: Mask) -> int:
+    """Spells without use, behind one of use, in which the error never passes the limit; usable, too_far: (n,), at each level."""
+    edges = np.flatnonzero(np.diff((~usable).astype(int), prepend=1, append=0))
+    ends = edges[int(not usable[0]) :]  # a spell that begins with the flight is none
+    return sum(not too_far[begin:end].any() for begin, end in zip(ends[::2], ends[1::2], strict=True))
 
 
 def _cells(error: Array, level: Array) -> tuple[tuple[int, int, int], ...]:

@@ -2,9 +2,11 @@
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 
+from benchmarks.drawn.alerts import alerts, in_time_or_covered
 from benchmarks.drawn.faults import KINDS, Fault, drawn, nominal, with_faults
 from benchmarks.drawn.rates import NONE, SEVERAL, Flown, probabilities, rate
 from benchmarks.integrity.report import bound
@@ -61,3 +63,19 @@ def test_rates_are_the_arithmetic_of_the_strata() -> None:
     assert by_name[kind].per_hour == pytest.approx(p * bound(1, 40) * 30.0, rel=1e-4)
     assert by_name[SEVERAL].share_at_most == 1.0  # never drawn
     assert 60.0 < found.ess < 61.0
+
+
+def test_alerts_are_counted_by_kind_and_false_ones_by_the_hour() -> None:
+    (first, second, *_) = KINDS
+    quiet = flown(0, (), 2.5, 0)
+    late = flown(1, (Fault(first, 1.0, 10.0, 20.0), Fault(second, 1.0, 12.0, 30.0)), 1.0, 1)
+    late = msgspec.structs.replace(
+        late, cautions_s=(3.0, None), row=msgspec.structs.replace(late.row, alerts_s=(0.4, 1.6), hours=0.5, false_alerts=2)
+    )
+    by_kind = {a.kind: a for a in alerts([quiet, late])}
+    assert set(by_kind) == {NONE, first, second}
+    assert (by_kind[first].passed, by_kind[first].alerted, by_kind[first].covered) == (2, 1, 0)
+    assert (by_kind[first].caution_s, by_kind[second].caution_s, by_kind[first].false_per_hour) == (3.0, None, 4.0)
+    assert in_time_or_covered([quiet, late]) == (0, 2)
+    in_time = msgspec.structs.replace(late, row=msgspec.structs.replace(late.row, alerts_s=(0.4, 0.6)))
+    assert in_time_or_covered([quiet, in_time]) == (2, 2)

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.drawn.faults import Fault
 from benchmarks.drawn.rates import rate
-from benchmarks.evidence.__main__ import document
+from benchmarks.evidence.pack import document
 from benchmarks.evidence.requirements import REQUIREMENTS, Requirement
 from tests.benchmarks.test_drawn import flown
 

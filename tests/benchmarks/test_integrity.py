@@ -11,7 +11,7 @@ from benchmarks.integrity.__main__ import jobs
 from benchmarks.integrity.pictures import draw
 from benchmarks.integrity.record import added, not_yet
 from benchmarks.integrity.report import _delay, bound, group_of, groups_table, is_faulty, summary, table
-from benchmarks.integrity.rows import Row, _delays, _events
+from benchmarks.integrity.rows import Row, _delays, _events, _false_alerts
 from benchmarks.integrity.runs import run
 from benchmarks.jobs import run_jobs
 from models.messages import Alert, Integrity
@@ -45,6 +45,12 @@ def test_the_time_to_alert_counts_from_the_error_passing_the_limit() -> None:
     assert first == pytest.approx(0.5, abs=0.11)
     assert second == 0.0
     assert never is None
+
+
+def test_an_alert_without_an_error_beyond_the_limit_is_a_false_one() -> None:
+    usable = np.array([False, True, False, False, True, False, True, False])
+    too_far = np.array([False, False, False, True, False, False, False, False])
+    assert _false_alerts(usable, too_far) == 2  # the first spell is the start, the second has an error
 
 
 def test_a_shifted_map_beside_gnss_is_covered_and_alerted_at_once(tmp_path: Path) -> None:

@@ -1,11 +1,10 @@
-"""The evidence pack: python -m benchmarks.evidence --hours 1 -o out/evidence
+"""The evidence pack of `landfix evidence`.
 
-pack.md is the document; drawn.json, campaign.json and versions.json hold its numbers. The drawn campaign is flown for so many
-hours of flight (its seeds make the same flights on any machine of one type); the campaign of docs/integrity_runs.csv is counted
-as it stands there.
+pack.md is the document; drawn.json, alerts.json, campaign.json and versions.json hold its numbers. The drawn campaign is flown
+for so many hours of flight (its seeds make the same flights on any machine of one type); the campaign of docs/integrity_runs.csv
+is counted as it stands there.
 """
 
-import argparse
 import json
 import platform
 from collections.abc import Sequence
@@ -18,6 +17,7 @@ import msgspec
 
 from benchmarks.drawn.__main__ import fly
 from benchmarks.drawn.__main__ import report as report_of
+from benchmarks.drawn.alerts import alerts
 from benchmarks.drawn.faults import FAULTS_A_FLIGHT, KINDS, RATES
 from benchmarks.drawn.rates import Flown, Rate, rate
 from benchmarks.evidence.requirements import REQUIREMENTS
@@ -55,18 +55,19 @@ _STANDARDS = (
 )
 
 
-def main() -> None:
-    args = arguments()
-    args.out.mkdir(parents=True, exist_ok=True)
-    jobs = [(seed, _SECONDS) for seed in range(max(1, round(args.hours * 3600.0 / _SECONDS)))]
-    flown = run_jobs(jobs, fly, Flown, args.out / "flights.jsonl", processes=args.jobs, resume=True, scheduler=args.scheduler)
+def write(folder: Path, hours: float, jobs: int | None = 1, scheduler: str = "", record: Path = RECORD) -> Path:
+    """Fly so many hours, those that stand in `folder` already taken from there, and write the pack; its document."""
+    folder.mkdir(parents=True, exist_ok=True)
+    seeds = [(seed, _SECONDS) for seed in range(max(1, round(hours * 3600.0 / _SECONDS)))]
+    flown = run_jobs(seeds, fly, Flown, folder / "flights.jsonl", processes=jobs, resume=True, scheduler=scheduler)
     found = rate(flown)
-    campaign = summary(added([], args.record))
-    _save(args.out / "drawn.json", msgspec.to_builtins(found))
-    _save(args.out / "campaign.json", {"record_sha256": _digest(args.record), "summary": campaign.splitlines()})
-    _save(args.out / "versions.json", versions())
-    (args.out / "pack.md").write_text(document(found, flown, campaign, args.hours), encoding="utf-8")
-    print(f"written: {args.out}/pack.md")
+    campaign = summary(added([], record))
+    _save(folder / "drawn.json", msgspec.to_builtins(found))
+    _save(folder / "alerts.json", msgspec.to_builtins(alerts(flown)))
+    _save(folder / "campaign.json", {"record_sha256": _digest(record), "summary": campaign.splitlines()})
+    _save(folder / "versions.json", versions())
+    (folder / "pack.md").write_text(document(found, flown, campaign, hours), encoding="utf-8")
+    return folder / "pack.md"
 
 
 def document(found: Rate, flown: Sequence[Flown], campaign: str, hours: float) -> str:
@@ -100,7 +101,7 @@ def document(found: Rate, flown: Sequence[Flown], campaign: str, hours: float) -
         "## Standards",
         Table("Use", ("document", "use", "not claimed"), _STANDARDS).markdown(),
         "## Again",
-        f"`python -m benchmarks.evidence --hours {hours:g} -o FOLDER` makes these numbers again, "
+        f"`landfix evidence --hours {hours:g} -o FOLDER` makes these numbers again, "
         "`python -m benchmarks.integrity` those of the campaign; `pytest tests/estimator/integrity tests/benchmarks` runs "
         "the tests; versions.json has hashes.",
         "",
@@ -133,17 +134,3 @@ def _digest(file: Path) -> str:
 
 def _save(file: Path, value: object) -> None:
     file.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
-
-
-def arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--hours", type=float, default=1.0, help="of drawn flights")
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--scheduler", default="", metavar="ADDRESS", help="dask.distributed scheduler")
-    parser.add_argument("--record", type=Path, default=RECORD, help="counts of the campaign")
-    parser.add_argument("-o", "--out", type=Path, default=ROOT / "out" / "evidence")
-    return parser.parse_args()
-
-
-if __name__ == "__main__":
-    main()
