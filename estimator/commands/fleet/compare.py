@@ -89,7 +89,7 @@ def _print(found: "Comparison", out: Path | None) -> None:
     title = f"{found.labels[1]} against {found.labels[0]}: {found.worse} of {found.pairs} flights worse, {found.better} better"
     print_table(title, rows, ("metric", "flights", "worse", "better", "median change", "p"))
     if groups := [(g.value, str(g.pairs), str(g.worse), str(g.better)) for g in found.groups]:
-        print_table("Groups", groups, ("value", "flights", "worse", "better"))
+        print_table(f"By {found.by}", groups, (found.by, "flights", "worse", "better"))
     if worst := [(c.log, words(c)) for c in found.changes if c.worse > 0.0][:_MOST_LINES]:
         print_table("The worst", worst, ("flight", "change"))
     if found.differing:

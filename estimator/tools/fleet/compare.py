@@ -64,7 +64,7 @@ class Broken(msgspec.Struct, frozen=True):
 
 
 class Comparison(msgspec.Struct, frozen=True):
-    """changes: flights with both rows, the worst first; only: with one row; differing: other inputs."""
+    """changes: flights with both rows, the worst first; only: with one row; differing: other inputs; by: column of the groups."""
 
     labels: tuple[str, str]
     pairs: int
@@ -74,6 +74,7 @@ class Comparison(msgspec.Struct, frozen=True):
     better: int
     worse: int
     metrics: tuple[MetricChange, ...]
+    by: str
     groups: tuple[GroupChange, ...]
     broken: tuple[Broken, ...]
     changes: list[Change]
@@ -107,6 +108,7 @@ def compare(
         better=sum(c.worse < -least for c in changes),
         worse=sum(c.worse > least for c in changes),
         metrics=tuple(_metric(m, [(before[log], after[log]) for log in both], spread[m]) for m in METRICS),
+        by=by,
         groups=tuple(_groups(changes, by, least)) if by else (),
         broken=tuple(b for text in budgets if (b := _broken(text, changes)) is not None),
         changes=changes,

@@ -51,6 +51,8 @@ def test_the_worst_flight_comes_first(tmp_path: Path) -> None:
     page = write(found, {"s3://flights/005.mcap": [("after", "page-reports/2-after.html")]})
     assert page.index("009.mcap") < page.index("005.mcap") < page.index("003.mcap") < page.index("007.mcap")
     assert '<a href="page-reports/2-after.html">after</a>' in page
+    assert "Equal on all flights: max_m, nis_per_dof, refusals, resets." in page
+    assert "<th>report</th>" not in write(found, {})
 
 
 def test_too_small_a_covariance_and_too_large_a_one_are_worse(tmp_path: Path) -> None:
