@@ -80,7 +80,7 @@ def replay(
 ) -> ReplaySummary:
     """Replay `source` (parts, or their folder) into `out`; progress: fraction done. Raises LogError.
 
-    sight: processes images again, None: logged fixes; attachments: replace the log's; odometry: whether used.
+    processor: processes images again, None: logged fixes; attachments: replace the log's; odometry: whether used.
     """
     parts = files_of(source)
     if out.exists() and any(part.exists() and out.samefile(part) for part in parts):
