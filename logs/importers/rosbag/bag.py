@@ -149,7 +149,7 @@ def _bound(reader: rosbag1.Reader, path: Path) -> None:
     unpack = unindexed.Unpacker(path.stat().st_size)
     kinds = {decompressor: kind for kind, decompressor in rosbag1.reader.decompressors.items()}
     for at, chunk in reader.chunks.items():
-        reader.chunks[at] = chunk._replace(decompressor=partial(unpack, kinds[chunk.decompressor]))
+        reader.chunks[at] = chunk._replace(decompressor=partial(unpack, kinds[chunk.decompressor], chunk=at))
 
 
 def _of(reader: rosbag1.Reader, known: list[Connection]) -> Iterator[tuple[str, str, int, bytes, float]]:

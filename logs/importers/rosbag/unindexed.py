@@ -18,6 +18,7 @@ from models.untrusted.limits import PIECE_BYTES, TooLargeError, allowed, check
 
 _MAGIC: Final = b"#ROSBAG V2.0\n"
 _MESSAGE, _CHUNK, _CONNECTION = 2, 5, 7
+_KEPT_BYTES: Final = 64 * 2**20
 _LENGTH: Final = struct.Struct("<I")
 _UNPACK: Final[Mapping[str, Callable[[bytes, int], bytes]]] = {  # to so many bytes at most
     "none": lambda data, _: data,
@@ -27,17 +28,27 @@ _UNPACK: Final[Mapping[str, Callable[[bytes, int], bytes]]] = {  # to so many by
 
 
 class Unpacker:
-    """Contents of a bag's chunks, bounded in total by its size."""
+    """Content of a bag's chunks, of all together no more than is allowed for its size; the last ones are kept."""
 
     def __init__(self, size: int) -> None:
         self._left = allowed(size)
+        self._kept: dict[int, bytes] = {}
 
-    def __call__(self, compression: str, data: bytes) -> bytes:
-        """Raises TooLargeError; KeyError: unknown compression; the decompressor's errors."""
+    def __call__(self, compression: str, data: bytes, chunk: int | None = None) -> bytes:
+        """chunk: its place, where it may be wanted again, as chunks that overlap in time are.
+
+        Raises TooLargeError; KeyError for an unknown compression; the decompressor's exception where it is damaged.
+        """
+        if chunk is not None and chunk in self._kept:
+            return self._kept[chunk]
         most = min(self._left, PIECE_BYTES)
         content = _UNPACK[compression](data, most + 1)
         check(len(content), len(data), most)
         self._left -= len(content)
+        if chunk is not None:
+            self._kept[chunk] = content
+            while len(self._kept) > 1 and sum(map(len, self._kept.values())) > _KEPT_BYTES:
+                del self._kept[next(iter(self._kept))]
         return content
 
 
