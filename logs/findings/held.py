@@ -12,6 +12,7 @@ _IMU_HELD_S: Final = 0.2
 _LIVELY: Final = 0.5  # of the readings differ from the one before
 _MOVING_M_S: Final = 1.0
 _MOVED_M: Final = 5.0  # while it was held
+_TURNED_RAD: Final = 0.2  # likewise
 _REGULAR: Final = 0.7  # of the runs
 _EVIDENCE: Final = (IMU, FIX, VELOCITY, POSE)  # of which copies count
 _EARTH_M: Final = 111_320.0  # a degree of latitude
@@ -66,6 +67,7 @@ def _measured(stream: Stream) -> slice:
 
 
 def _moves(stream: Stream, imu: Stream | None, first: int, last: int) -> bool:
+    """A receiver: at > 1 m/s just before, or 5 m away behind it; a magnetometer: the IMU turns; others: its samples change."""
     if stream.kind == IMU:
         return True
     if stream.kind == VELOCITY:
@@ -78,7 +80,12 @@ def _moves(stream: Stream, imu: Stream | None, first: int, last: int) -> bool:
         return False
     rows = (imu.arrived_s >= stream.arrived_s[first]) & (imu.arrived_s <= stream.arrived_s[last])
     samples: Array = imu.values[rows]
-    return len(samples) > 3 and float(np.mean(np.any(np.diff(samples, axis=0) != 0.0, axis=1))) > _LIVELY
+    if len(samples) <= 3:
+        return False
+    if stream.kind == "magnetometer":
+        turned_rad = np.linalg.norm(samples[:, :3].mean(axis=0)) * (stream.arrived_s[last] - stream.arrived_s[first])
+        return bool(turned_rad > _TURNED_RAD)
+    return float(np.mean(np.any(np.diff(samples, axis=0) != 0.0, axis=1))) > _LIVELY
 
 
 def _speed(fixes: Stream, first: int, last: int) -> float:

@@ -72,8 +72,9 @@ class Watch:
 
     def _judge(self) -> None:
         streams = {topic: column.stream(self._start_ns) for topic, column in self._columns.items() if column.t_ns}
-        for kind, finding in judged(streams, self._origin):
-            self._found.setdefault((finding.who, kind), finding)
+        with np.errstate(all="ignore"):  # a reading may be infinite
+            for kind, finding in judged(streams, self._origin):
+                self._found.setdefault((finding.who, kind), finding)
 
     def _forget(self, before_ns: int) -> None:
         for column in self._columns.values():

@@ -1,5 +1,6 @@
 """Is a log fit for a replay? Topics, rates, stamps, delays, IMU units and axes, absolute sources."""
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -55,7 +56,7 @@ class _Topic:
         if isinstance(message, Unusable):
             self.bad.append(message.detail)
         else:
-            if isinstance(made, Refusal) and made.reason is not Reason.NO_FIX:  # which is normal under a roof
+            if isinstance(made, Refusal) and not (made.reason is Reason.NO_FIX or _no_echo(message)):  # both are normal
                 self.bad.append(f"{made.reason} {made.detail}".strip())
                 self.slow = isinstance(message, Reading) and message.kind == "airspeed" and made.reason is Reason.IMPLAUSIBLE
             elif isinstance(made, Aid) and made.assumed:
@@ -149,6 +150,11 @@ def _inputs(topics: dict[str, _Topic], config: Config) -> list[Check]:
     advice = "IMU alone drifts within seconds: name a GNSS or pose topic in [inputs]"
     checks.append(judge("absolute source", ", ".join(absolute) or "none", fail=not absolute, advice=advice))
     return checks
+
+
+def _no_echo(message: Input) -> bool:
+    """A range finder out of its range: +inf, as REP 117 has it."""
+    return isinstance(message, Reading) and message.kind == "range" and message.values[0] == math.inf
 
 
 def _at_fault(watch: Watch) -> list[Check]:
