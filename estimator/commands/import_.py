@@ -36,7 +36,8 @@ def command(
 ) -> None:
     """Convert a recording of another program to a log.
 
-    OUT.toml, written next to it, is the matching configuration: topics, axes, sensor noise.
+    OUT.toml, written next to it, is the matching configuration: topics, axes, sensor noise. The exit code is 1 where the log
+    cannot be navigated by; the line that says why begins with "at fault".
 
     \b
     Examples:
@@ -62,6 +63,8 @@ def command(
         if summary.topics:
             _print_topics(source, summary.topics)
         typer.echo(f"{out}: {summary}")
+    if any(finding.unfit for finding in summary.findings):
+        raise typer.Exit(1)
 
 
 def _kind_and_source(recording: list[str]) -> tuple[str, Path]:

@@ -17,6 +17,7 @@ from typing import Final, Self
 import numpy as np
 
 from logs.evaluation import metrics
+from logs.evaluation.agreement import contradiction
 from logs.evaluation.collected import TRUTH_TOPIC, Collected, HealthPoint, read
 from logs.evaluation.integrity import summarise
 from logs.evaluation.metrics import Mask, Stats, Times
@@ -406,4 +407,4 @@ def _notes(collected: Collected, c: Comparison) -> tuple[str, ...]:
         "no /landfix/aid_status: outages are found from the health alone": bool(collected.health) and not collected.aids,
         "neither /landfix/aid_status nor /landfix/health: outages are not known": not collected.health and not collected.aids,
     }
-    return tuple(text for text, holds in notes.items() if holds)
+    return tuple(text for text, holds in notes.items() if holds) + tuple(filter(None, [contradiction(collected)]))

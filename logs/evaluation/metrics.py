@@ -262,17 +262,15 @@ def waits(valid_ns: Times, arrived_ns: Times) -> Times:
 
 
 def gaps(valid_ns: Times, arrived_ns: Times, end_ns: int, longer_than_ns: int) -> list[tuple[int, int]]:
-    """Waits longer than longer_than_ns up to end_ns, without overlap."""
+    """Waits longer than longer_than_ns up to end_ns; newer information ends a span; no time is in two of them."""
     if not len(valid_ns):
         return []
     last = (int(valid_ns.max()), end_ns)
     spans: list[tuple[int, int]] = []
     for start, arrived in [*map(tuple, waits(valid_ns, arrived_ns).tolist()), last]:
-        end = min(arrived, end_ns)
-        if end - start > longer_than_ns:
-            begin = max(start, spans[-1][1]) if spans else start
-            if begin < end:
-                spans.append((begin, end))
+        begin, end = max(start, spans[-1][1]) if spans else start, min(arrived, end_ns)
+        if end - begin > longer_than_ns:
+            spans.append((begin, end))
     return spans
 
 

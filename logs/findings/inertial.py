@@ -10,6 +10,7 @@ from models.messages import Array
 
 LOWEST_RATE_HZ: Final = 20.0
 _FROZEN_S: Final = 2.0
+_STUCK_S: Final = 10.0
 _LEAST_FROZEN: Final = 20  # samples
 _LIVELY: Final = 0.5  # of the samples differ from the one before
 _NOISE: Final = -0.2  # lag-1 correlation of differences: -0.5 is white noise, a smooth signal has more than 0
@@ -26,6 +27,7 @@ _RANGES: Final = (  # full scales: deg/s, g
     np.radians([125.0, 250.0, 500.0, 1000.0, 2000.0]), GRAVITY * np.array([2.0, 4.0, 6.0, 8.0, 16.0]),
 )  # fmt: skip
 _LEAST_CLIPPED: Final = 20
+RATE_ADVICE: Final = "log the IMU at 50 Hz or more, better 100"
 _AXES: Final = ("gyroscope x", "gyroscope y", "gyroscope z", "accelerometer x", "accelerometer y", "accelerometer z")
 _DEAD: Final = "this axis of the sensor or of its driver is dead"
 
@@ -39,7 +41,7 @@ def slow(imu: Stream) -> Cause | None:
     if not 0.0 < hz < LOWEST_RATE_HZ:
         return None
     what = f"{hz:.1f} samples a second are too few to navigate by"
-    return Cause(what, float(imu.arrived_s[0]), "log the IMU at 50 Hz or more, better 100", unfit=True)
+    return Cause(what, float(imu.arrived_s[0]), RATE_ADVICE, unfit=True)
 
 
 def halves(imu: Stream) -> Cause | None:
@@ -109,7 +111,8 @@ def tilted(imu: Stream) -> Cause | None:
 def frozen_axis(imu: Stream) -> Cause | None:
     """An axis repeats to the bit for > 2 s while another of its sensor changes.
 
-    It changed before, or both others have noise from the start.
+    It changed before, or from the beginning both others have noise, or it is a gyroscope's that reads another value than 0 for
+    10 s: a simulation without noise has axes that read 0 throughout.
     """
     if imu.kind not in (IMU, "magnetometer"):
         return None
@@ -120,7 +123,8 @@ def frozen_axis(imu: Stream) -> Cause | None:
         for first, last in runs(same[:, axis]).tolist():
             long_s = imu.arrived_s[last] - imu.arrived_s[first]
             alive = 1.0 - np.mean(same[first:last, sensor], axis=0)
-            lived = noisy or (first > 0 and 1.0 - same[:first, axis].mean() > _LIVELY)
+            stuck = imu.kind == IMU and axis < 3 and imu.values[first, axis] != 0.0 and long_s > _STUCK_S
+            lived = noisy or stuck or (first > 0 and 1.0 - same[:first, axis].mean() > _LIVELY)
             if lived and long_s > _FROZEN_S and last - first >= _LEAST_FROZEN and alive.max() > _LIVELY:
                 name, value = (
                     _AXES[axis] if imu.kind == IMU else f"its {'xyz'[axis]} axis",

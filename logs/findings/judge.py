@@ -15,7 +15,11 @@ _FIELD, _BARO = "magnetometer", "baro"
 
 
 def judged(streams: Streams, origin: Vec3 | None) -> Iterator[tuple[str, Finding]]:
-    """Kind of cause (ordered) and finding; a faulty stream is no witness."""
+    """Kind of cause (its order is their order) and finding. A stream with a fault is no witness against another."""
+    for name, s in streams.items():
+        if s.kind == IMU and (n := len(s.t_s)) < _LEAST_SAMPLES:
+            what = f"{n} sample{'s' * (n > 1)} in all"
+            yield "0", Finding(name, what, max(0.0, float(s.arrived_s[0])), inertial.RATE_ADVICE, unfit=True)
     known = {name: s for name, s in sorted(streams.items()) if len(s.t_s) >= _LEAST_SAMPLES}
     guilty = set[str]()
     stages = (_stamps(known), _values(known, origin), _relations(known, guilty))

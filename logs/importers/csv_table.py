@@ -97,10 +97,12 @@ class Table:
         return np.stack(found, axis=1)
 
     def needed(self, quantity: Quantity, axes: str) -> Array:
-        """Columns (n, len(axes)). Raises LogError for a missing one."""
+        """Columns (n, len(axes)) of a quantity. Raises LogError where one is missing or holds no number."""
         found = self.vector(quantity, axes)
         if found is None:
             raise self._no_column(quantity, axes[0])
+        if len(empty := np.flatnonzero(~np.isfinite(found).any(axis=0))):
+            raise LogError(f"{self.file}: no number in the column for {quantity.name} {axes[empty[0]]}")
         return found
 
     def _no_column(self, quantity: Quantity, axis: str) -> LogError:

@@ -15,6 +15,7 @@ t_ns of a fix: receiver week time on the log's clock, the fastest fix without de
 
 import contextlib
 from collections.abc import Mapping, Sequence
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +79,8 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
         tables = _tables(source, log, options.imu.upper(), progress)
         timebase_us = round(1e6 * getattr(log.clock, "timebase", 0.0))
         parameters: dict[str, float] = dict(log.params)
-    notes: list[str] = []
+        lengths = {number: layout.len for number, layout in log.formats.items()}
+    notes: list[str] = [f"{source.name}: damaged in places; the rest was read"] if _is_damaged(source, lengths) else []
     if timebase_us <= 0:
         timebase_us = EPOCH_NS // 1000
         notes.append("the log does not know the date: stamps count from 2023-11-14T22:13:20Z")
@@ -121,6 +123,15 @@ def _open(source: Path) -> Any:
             return DFReader.DFReader_binary(str(source))
     except Exception as error:  # pymavlink raises whatever a damaged file makes it stumble over
         raise LogError(f"{source.name}: cannot be read as a dataflash log: {error}") from None
+
+
+def _is_damaged(source: Path, lengths: Mapping[int, int]) -> bool:
+    """Whether something else stands where a message should begin; lengths by number of message. The end may be cut or padded."""
+    with source.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
+        at, end = 0, len(data)
+        while at + 2 < end and data[at : at + 2] == _MAGIC and (length := lengths.get(data[at + 2], 0)) > 2:
+            at += length
+        return at + 2 < end and bool(data[at:].strip(b"\0\xff"))
 
 
 class _Layout:

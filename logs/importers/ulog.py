@@ -15,6 +15,7 @@ Stamps: us since boot; date: time_utc_usec; field names by version (lat 1e-7 deg
 
 import io
 from collections.abc import Mapping, Sequence
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -30,6 +31,7 @@ from models.messages import Array, Vec3
 Topic: TypeAlias = Mapping[str, Any]  # field -> column
 
 _MAGIC = b"ULog\x01\x12\x35"
+_HEADER_BYTES = 16
 _WANTED = (
     "sensor_combined", "sensor_gyro", "sensor_accel", "vehicle_imu", "sensor_selection",
     "vehicle_air_data", "vehicle_magnetometer", "sensor_mag",
@@ -59,7 +61,11 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     if progress:
         progress(0.8)
     topics: dict[str, Topic] = {d.name: d.data for d in reversed(log.data_list)}  # of several instances the first
-    notes: list[str] = [f"{source.name}: damaged in places; the rest was read"] if log.file_corruption else []
+    notes: list[str] = []
+    if log.file_corruption:
+        notes.append(f"{source.name}: damaged in places; the rest was read")
+    elif not log.has_data_appended and _ends_within_a_message(source):
+        notes.append(f"{source.name}: torn; read as far as it goes")
     receiver = _receiver(log.data_list, notes)
     clock = _clock(receiver, notes)
     imu = _imu(source, topics, clock, notes)
@@ -130,6 +136,15 @@ def _open(source: Path) -> Any:
                 return ULog(file, list(_WANTED))
         except Exception as error:  # pyulog raises whatever a damaged header makes it stumble over
             raise LogError(f"{source.name}: cannot be read as a PX4 log: {error}") from None
+
+
+def _ends_within_a_message(source: Path) -> bool:
+    """A message is its size (2 bytes), its kind (1) and as many bytes."""
+    with source.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
+        at, end = _HEADER_BYTES, len(data)
+        while at + 3 <= end:
+            at += 3 + data[at] + 256 * data[at + 1]
+        return at != end
 
 
 def _clock(receiver: Topic | None, notes: list[str]) -> int:

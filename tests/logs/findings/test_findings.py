@@ -202,3 +202,35 @@ def test_late_and_shuffled_fixes_are_no_fault() -> None:
     order = np.argsort(arrived)
     streams["/pose_fix"] = Stream(POSE, fixes.t_s[order], arrived[order], fixes.values[order])
     assert _found(streams) == []
+
+
+def test_a_log_of_a_few_samples_cannot_be_navigated_by() -> None:
+    imu = _sound(1)["/imu"]
+    few = {"/imu": Stream(IMU, imu.t_s[:1], imu.arrived_s[:1], imu.values[:1])}
+    (finding,) = [found for _, found in judged(few, ORIGIN)]
+    assert finding.unfit
+    assert str(finding).startswith("/imu since 0.0 s: 1 sample in all; log the IMU")
+
+
+def test_a_gyroscope_that_is_stuck_from_the_beginning_beside_axes_that_are_filtered() -> None:
+    """Low-pass filtered axes have no white noise, as those of many autopilots' logs."""
+    imu = _sound(2)["/imu"]
+    values = np.stack([np.convolve(column, np.full(20, 0.05), "same") for column in imu.values.T], axis=1)
+    values[:, 0] = -0.0576
+    found = [finding for _, finding in judged({"/imu": Stream(IMU, imu.t_s, imu.arrived_s, values)}, ORIGIN)]
+    assert "gyroscope x reads -0.0576 without any change" in found[0].what
+    values[:, 0] = 0.0
+    assert not any("without any change" in f.what for _, f in judged({"/imu": imu._replace(values=values)}, ORIGIN))
+
+
+def test_a_magnetometer_that_stands_still_is_at_fault_where_the_vehicle_turns() -> None:
+    """A simulator's has no noise: at rest it repeats itself."""
+    streams = _sound(3)
+    held, values = slice(150, 250), streams["/mag"].values.copy()
+    values[held] = values[150]
+    magnetometer = streams["/mag"]._replace(values=values)
+    resting = streams["/imu"].values * [0.0, 0.0, 0.0, 1.0, 1.0, 1.0]
+    turning = [f for _, f in judged({"/mag": magnetometer, "/imu": streams["/imu"]}, ORIGIN)]
+    still = [f for _, f in judged({"/mag": magnetometer, "/imu": streams["/imu"]._replace(values=resting)}, ORIGIN)]
+    assert any(f.who == "/mag" and "repeats one reading" in f.what for f in turning)
+    assert not any("repeats one reading" in f.what for f in still)
