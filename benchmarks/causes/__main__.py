@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 
 from benchmarks.causes.faults import FAULTS, Messages
+from benchmarks.causes.files import FILE_FAULTS, said_of
 from benchmarks.flights.tasks import ROOT, data_folder
 from estimator.version import version
 from logs.findings import Watch
@@ -78,7 +79,10 @@ def _is(message: Input, kind: str) -> bool:
 def drawn(seed: int, *, sound: bool) -> Row:
     """One log, with a fault unless it is sound."""
     rng = np.random.default_rng([seed, int(sound)])
-    fault = None if sound else FAULTS[str(rng.choice(list(FAULTS)))]
+    label = "" if sound else str(rng.choice([*FAULTS, *FILE_FAULTS]))
+    if label in FILE_FAULTS:
+        return _of_a_file(seed, label, rng)
+    fault = FAULTS.get(label)
     name = str(rng.choice([f for f, kinds in FLIGHTS.items() if fault is None or fault.kind in kinds]))
     messages, topic = stretch(name, rng), ""
     if fault is not None:
@@ -93,8 +97,14 @@ def drawn(seed: int, *, sound: bool) -> Row:
     found = watch.findings()
     first = str(found[0]) if found else ""
     named = not found if fault is None else bool(found) and found[0].who == topic and any(w in found[0].what for w in fault.words)
-    label = next((n for n, f in FAULTS.items() if f is fault), "")
     return Row(seed, name, label, topic, named, first, version())
+
+
+def _of_a_file(seed: int, label: str, rng: np.random.Generator) -> Row:
+    """A log whose file is at fault, given to import; where LANDFIX_DATA is absent there are none of autopilots."""
+    fault = FILE_FAULTS[label]
+    first = said_of(fault, rng)
+    return Row(seed, fault.seed, label, fault.file, any(word in first for word in fault.words), first, version())
 
 
 def main() -> None:
@@ -104,10 +114,14 @@ def main() -> None:
     parser.add_argument("--sound", type=int, default=40, help="sound logs")
     parser.add_argument("-o", "--out", type=Path, default=ROOT / "out" / "causes.jsonl")
     args = parser.parse_args()
-    rows = [drawn(seed, sound=False) for seed in range(args.first, args.first + args.seeds)]
-    rows += [drawn(seed, sound=True) for seed in range(args.first, args.first + args.sound)]
     args.out.parent.mkdir(parents=True, exist_ok=True)
-    args.out.write_bytes(b"".join(msgspec.json.encode(row) + b"\n" for row in rows))
+    rows = []
+    with args.out.open("wb") as file:
+        for is_sound, count in ((False, args.seeds), (True, args.sound)):
+            for seed in range(args.first, args.first + count):
+                rows.append(drawn(seed, sound=is_sound))
+                file.write(msgspec.json.encode(rows[-1]) + b"\n")
+                file.flush()
     faults, sound = [r for r in rows if r.fault], [r for r in rows if not r.fault]
     for row in rows:
         if not row.named:

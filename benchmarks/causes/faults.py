@@ -7,6 +7,7 @@ import numpy as np
 from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 
+from models.frames import GRAVITY
 from models.messages import GnssFix, GnssVelocity, ImuSample, Input, OdometryPose, PoseFix, Reading
 
 Messages: TypeAlias = list[Input]
@@ -121,6 +122,17 @@ def _imu(change: Callable[[np.ndarray], np.ndarray]) -> Change:
     return changed
 
 
+def without_gravity(m: Messages, _: np.random.Generator) -> Messages:
+    """As an attitude filter removes it: along the mean specific force of the last second."""
+    force = np.array([x.accel_b for x in m if isinstance(x, ImuSample)])
+    total = np.vstack([np.zeros(3), np.cumsum(force, axis=0)])
+    n = max(1, round(1e9 * len(m) / (m[-1].arrived_ns - m[0].arrived_ns)))
+    first = np.maximum(0, np.arange(len(m)) + 1 - n)
+    mean = (total[1:] - total[first]) / (np.arange(len(m)) + 1 - first)[:, None]
+    left = force - GRAVITY * mean / np.linalg.norm(mean, axis=1)[:, None]
+    return [replace(x, accel_b=tuple(f)) for x, f in zip(m, left.tolist(), strict=True)]
+
+
 def dead(m: Messages, rng: np.random.Generator) -> Messages:
     """One axis stops, at 0 or at its last value."""
     axis, at = int(rng.integers(6)), _later(m, rng) if rng.random() < 0.7 else 0
@@ -217,7 +229,7 @@ FAULTS: Final[dict[str, Fault]] = {
     "imu accel in g": Fault("imu", _imu(lambda v: v / [1, 1, 1, 9.80665, 9.80665, 9.80665]), ("in g",)),
     "imu other convention": Fault("imu", _imu(lambda v: v * [1, -1, -1, 1, -1, -1]), ("other convention",)),
     "imu on its side": Fault("imu", _imu(lambda v: v[[0, 2, 1, 3, 5, 4]] * [1, -1, 1, 1, -1, 1]), ("mounted",)),
-    "imu gravity removed": Fault("imu", _imu(lambda v: v + np.array([0, 0, 0, 0, 0, 9.80665])), ("gravity is missing",)),
+    "imu gravity removed": Fault("imu", without_gravity, ("gravity is missing",)),
     "gyro mirrored": Fault("turning", mirrored_gyro, ("mirrored", "turned")),
     "gnss exchanged": Fault("gnss", _fix(lambda a, b, _: (b, a)), ("exchanged",)),
     "gnss longitude sign": Fault("gnss", _fix(lambda a, b, _: (a, -b)), ("wrong sign",)),

@@ -2,7 +2,8 @@
 
     python -m benchmarks.service.fuzz_files --mutants 10000 [--formats csv map ...] [--seed 1] [--seconds 60] [--out FILE.json]
 
-A mutant is a small real file with bytes changed, cut, doubled, moved or set to counts of 2^32 - 1. It is read in a child
+Formats that --out holds already, of as many mutants, are not read again. A mutant is a small real file, that is read as it is
+before, with bytes changed, cut, doubled, moved or set to counts of 2^32 - 1. It is read in a child
 process with a limit on CPU time (10 s) and on the memory that it may have above what the child begins with (1 GB). What must not
 happen: an exception other than LogError or MapError, a message of more than one line, a limit reached, an end by a signal.
 """
@@ -33,6 +34,7 @@ from models.untrusted import toml_text
 
 CPU_S: Final = 10
 MEMORY_BYTES: Final = 2**30
+_BATCH: Final = 200  # mutants of one child
 _COUNTS: Final = (
     b"\xff\xff\xff\xff",
     b"\0\0\0\0",
@@ -112,8 +114,10 @@ def fuzz(name: str, count: int, seed: int, seconds: float) -> dict[str, Any]:
     findings: list[str] = []
     worst, done, began = 0.0, 0, time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
+        for data in seeds:  # read as they are, and what their readers import is there before a child is forked
+            read(_written(Path(folder), file, data), Path(folder))
         while done < count and time.monotonic() - began < seconds and seeds:
-            batch = range(done, min(count, done + 25))
+            batch = range(done, min(count, done + _BATCH))
             for number, outcome, cpu_s in _batch(Path(folder), file, read, seeds, seed, batch):
                 outcomes[outcome.partition(":")[0]] += 1
                 worst = max(worst, cpu_s)
@@ -156,9 +160,7 @@ def _in_child(
     os.dup2(nothing, 2)
     for number in numbers:
         rng = np.random.default_rng((seed, number))
-        path = folder / "in" / file
-        path.parent.mkdir(exist_ok=True)
-        path.write_bytes(mutant(seeds[number % len(seeds)], rng))
+        path = _written(folder, file, mutant(seeds[number % len(seeds)], rng))
         used = time.process_time()
         resource.setrlimit(resource.RLIMIT_CPU, (int(used) + CPU_S + 1, resource.RLIM_INFINITY))
         outcome = _outcome(read, path, folder)
@@ -167,6 +169,13 @@ def _in_child(
             outcome = "slow"
         os.write(pipe, (json.dumps([number, outcome, cpu_s]) + "\n").encode())
     os._exit(0)
+
+
+def _written(folder: Path, file: str, data: bytes) -> Path:
+    path = folder / "in" / file
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(data)
+    return path
 
 
 def _outcome(read: Callable[[Path, Path], object], path: Path, out: Path) -> str:
@@ -187,8 +196,9 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=3600.0, help="at most, of each format")
     parser.add_argument("--out", type=Path, help="results as JSON")
     given = parser.parse_args()
-    results: dict[str, Any] = {}
-    for name in given.formats:
+    kept = json.loads(given.out.read_text())["formats"] if given.out and given.out.is_file() else {}
+    results: dict[str, Any] = {name: kept[name] for name in READERS if kept.get(name, {}).get("mutants", 0) >= given.mutants}
+    for name in [name for name in given.formats if name not in results]:
         results[name] = fuzz(name, given.mutants, given.seed, given.seconds)
         print(name, results[name], flush=True)
         if given.out:

@@ -3,6 +3,7 @@
 import gzip
 import json
 import os
+import struct
 import tempfile
 from pathlib import Path
 
@@ -13,7 +14,9 @@ from logs.store.recorder import Recorder
 from logs.wire.encoding import encode_input
 from models.messages import GnssFix, ImuSample
 
-_CUT = 60_000  # bytes of a log
+_CUT = 25_000  # bytes of a log
+_ULOG_TOPICS = (b"sensor_combined", b"vehicle_gps_position", b"sensor_gps", b"vehicle_air_data", b"vehicle_attitude")
+_ULOG_MESSAGES = 60  # of each of them
 _NATIVE = {
     "ulog": ("px4_fmuv6c_6s.ulg", "px4_sitl_v115_31s.ulg"),
     "dataflash": ("ardupilot_log171.bin",),
@@ -27,7 +30,8 @@ def of(name: str) -> list[bytes]:
     match name:
         case "ulog" | "dataflash" | "tlog":
             folder = Path(os.environ.get("LANDFIX_DATA", "../shared/data")) / "native_logs"
-            return [(folder / file).read_bytes()[:_CUT] for file in _NATIVE[name] if (folder / file).is_file()]
+            there = [(folder / file).read_bytes() for file in _NATIVE[name] if (folder / file).is_file()]
+            return [_thinned(log) if name == "ulog" else log[:_CUT] for log in there]
         case "csv":
             return [_csv()]
         case "csv.gz":
@@ -41,7 +45,7 @@ def of(name: str) -> list[bytes]:
         case "overpass":
             return [_overpass()]
         case "geotiff":
-            return [image(".tif"), image(".png"), image(".jpg")]
+            return [_geotiff("<"), _geotiff(">")]
         case "route":
             return [
                 b'<gpx><trk><trkseg><trkpt lat="47.4" lon="8.5"/><trkpt lat="47.5" lon="8.6"/></trkseg></trk></gpx>',
@@ -71,6 +75,42 @@ def _log() -> bytes:
         return path.read_bytes()
 
 
+def _thinned(log: bytes) -> bytes:
+    """A ULog with the definitions and the first messages of the topics that an import needs."""
+    kept, count, at, wanted = bytearray(log[:16]), dict[int, int](), 16, set[int]()
+    while at + 3 <= len(log):
+        size, kind = struct.unpack_from("<Hc", log, at)
+        record = log[at : at + 3 + size]
+        body, at = record[3:], at + 3 + size
+        if kind == b"A" and body[3:] in _ULOG_TOPICS:
+            wanted.add(int.from_bytes(body[1:3], "little"))
+        if kind == b"D":
+            number = int.from_bytes(body[:2], "little")
+            count[number] = count.get(number, 0) + 1
+            keep = number in wanted and count[number] <= _ULOG_MESSAGES
+        else:
+            keep = kind == b"B" or (kind == b"F" and body.startswith(_ULOG_TOPICS)) or (kind == b"A" and body[3:] in _ULOG_TOPICS)
+        if keep:
+            kept += record
+    return bytes(kept)
+
+
+def _geotiff(order: str) -> bytes:
+    """Uncompressed, 0.5 m a pixel, in UTM zone 32."""
+    wide, high = 60, 40
+    pixels = np.random.default_rng(1).bytes(3 * wide * high)
+    at = 8 + len(pixels)
+    keys = (1, 1, 0, 2, 1025, 0, 1, 1, 3072, 0, 1, 32632)
+    extra = struct.pack(f"{order}9d15H", 0.5, 0.5, 0.0, 0.0, 0.0, 0.0, 465_000.0, 5_250_000.0, 0.0, *keys, 8, 8, 8)
+    entries = (
+        (256, 4, 1, wide), (257, 4, 1, high), (258, 3, 3, at + 96), (262, 4, 1, 2), (273, 4, 1, 8), (277, 4, 1, 3),
+        (278, 4, 1, high), (279, 4, 1, len(pixels)), (33550, 12, 3, at), (33922, 12, 6, at + 24), (34735, 3, 12, at + 72),
+    )  # fmt: skip
+    directory = struct.pack(f"{order}H", len(entries)) + b"".join(struct.pack(f"{order}HHII", *e) for e in entries)
+    head = {"<": b"II*\0", ">": b"MM\0*"}[order] + struct.pack(f"{order}I", at + len(extra))
+    return head + pixels + extra + directory + bytes(4)
+
+
 def _record(data: bytes, **fields: bytes) -> bytes:
     header = b"".join(len(f).to_bytes(4, "little") + f for f in (n.encode() + b"=" + v for n, v in fields.items()))
     return len(header).to_bytes(4, "little") + header + len(data).to_bytes(4, "little") + data
@@ -82,7 +122,7 @@ def _bag(compression: bytes, index: int = 0) -> bytes:
     content = _record(about, op=b"\x07", conn=bytes(4), topic=b"/imu")
     for k in range(60):
         stamp = (1_700_000_000).to_bytes(4, "little") + (5_000_000 * k).to_bytes(4, "little")
-        body = k.to_bytes(4, "little") + stamp + bytes(4) + bytes(8 * 37)
+        body = k.to_bytes(4, "little") + stamp + bytes(4) + bytes(8 * 27) + struct.pack("<d", 9.8) + bytes(72)
         content += _record(body, op=b"\x02", conn=bytes(4), time=stamp)
     chunk = _record(content, op=b"\x05", compression=compression, size=len(content).to_bytes(4, "little"))
     start = _record(

@@ -262,7 +262,7 @@ def waits(valid_ns: Times, arrived_ns: Times) -> Times:
 
 
 def gaps(valid_ns: Times, arrived_ns: Times, end_ns: int, longer_than_ns: int) -> list[tuple[int, int]]:
-    """Waits longer than longer_than_ns up to end_ns; newer information ends a span; no time is in two of them."""
+    """Waits up to end_ns, each without what the one before covers, longer than longer_than_ns."""
     if not len(valid_ns):
         return []
     last = (int(valid_ns.max()), end_ns)

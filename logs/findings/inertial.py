@@ -111,8 +111,7 @@ def tilted(imu: Stream) -> Cause | None:
 def frozen_axis(imu: Stream) -> Cause | None:
     """An axis repeats to the bit for > 2 s while another of its sensor changes.
 
-    It changed before, or from the beginning both others have noise, or it is a gyroscope's that reads another value than 0 for
-    10 s: a simulation without noise has axes that read 0 throughout.
+    It changed before, or both others have noise from the start, or a gyroscope's axis stands at another value than 0 for > 10 s.
     """
     if imu.kind not in (IMU, "magnetometer"):
         return None

@@ -15,7 +15,7 @@ _FIELD, _BARO = "magnetometer", "baro"
 
 
 def judged(streams: Streams, origin: Vec3 | None) -> Iterator[tuple[str, Finding]]:
-    """Kind of cause (its order is their order) and finding. A stream with a fault is no witness against another."""
+    """Kind of cause (ordered) and finding; a faulty stream is no witness."""
     for name, s in streams.items():
         if s.kind == IMU and (n := len(s.t_s)) < _LEAST_SAMPLES:
             what = f"{n} sample{'s' * (n > 1)} in all"

@@ -97,7 +97,7 @@ class Table:
         return np.stack(found, axis=1)
 
     def needed(self, quantity: Quantity, axes: str) -> Array:
-        """Columns (n, len(axes)) of a quantity. Raises LogError where one is missing or holds no number."""
+        """Columns (n, len(axes)). Raises LogError for one that is missing or holds no number."""
         found = self.vector(quantity, axes)
         if found is None:
             raise self._no_column(quantity, axes[0])

@@ -28,17 +28,14 @@ _UNPACK: Final[Mapping[str, Callable[[bytes, int], bytes]]] = {  # to so many by
 
 
 class Unpacker:
-    """Content of a bag's chunks, of all together no more than is allowed for its size; the last ones are kept."""
+    """Contents of a bag's chunks, bounded in total by its size; the last ones are kept."""
 
     def __init__(self, size: int) -> None:
         self._left = allowed(size)
         self._kept: dict[int, bytes] = {}
 
     def __call__(self, compression: str, data: bytes, chunk: int | None = None) -> bytes:
-        """chunk: its place, where it may be wanted again, as chunks that overlap in time are.
-
-        Raises TooLargeError; KeyError for an unknown compression; the decompressor's exception where it is damaged.
-        """
+        """chunk: its place, to be kept under. Raises TooLargeError; KeyError: unknown compression; the decompressor's errors."""
         if chunk is not None and chunk in self._kept:
             return self._kept[chunk]
         most = min(self._left, PIECE_BYTES)
