@@ -130,7 +130,7 @@ class Tracker:
 
     @property
     def shows_mixture(self) -> bool:
-        """The covariance shown is that of the hypotheses alone, without late_cov."""
+        """The covariance shown is the mixture of the hypotheses; nothing but late_cov is added."""
         core, factor = self.core, self.core.variance_factor
         is_plain = core.is_aligned and not core.conflicts.apart and self.alignment.without_sensor is None
         return is_plain and not factor.lasting > factor.value

@@ -38,7 +38,7 @@ _RATE_SIGMA = 3e-4  # rad/s: of a vehicle at rest, mean of a second
 
 
 class RestConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """[rest]: zero-velocity and zero-rotation updates, for vehicles that stand on the ground."""
+    """[rest]: zero-velocity and zero-rotation updates, for vehicles that stand on the ground, not hover or float."""
 
     enabled: Annotated[bool, Meta(description="whether a vehicle that the IMU shows at rest is taken to be at rest")] = False
     velocity_sigma_m_s: Annotated[float, Meta(ge=1e-4, le=10, description="m/s: of a vehicle at rest")] = 0.05
