@@ -185,11 +185,15 @@ def _seen(image: Image, ground: GroundImage, rig: StereoRig, pose: tuple[Array, 
     return np.asarray(cv2.resize(fine, (rig.left.width, rig.left.height), interpolation=cv2.INTER_AREA), dtype=np.float64)
 
 
+def nust_file(data: Path) -> ImageFile:
+    """The orthophoto, with its errors."""
+    return ImageFile(data / nust.FOLDER / "orthophoto_0.5m_epsg32643.tif", 0.5, None, 1.0)
+
+
 def nust_scene(data: Path, after: int) -> Scene:
     """The frames that have a reference, `after` frames after every 15th."""
     landmarks = nust.landmark_map()
-    file = ImageFile(data / nust.FOLDER / "orthophoto_0.5m_epsg32643.tif", 0.5, None, 1.0)
-    known = image_store.load(file, landmarks.origin)
+    known = image_store.load(nust_file(data), landmarks.origin)
     registered = nust.registrations(data)
     wanted = [number for number in registered if number % EVERY == after]
     rig = nadir_rig(nust.camera())
