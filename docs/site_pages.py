@@ -81,12 +81,12 @@ def commands() -> str:
 
 
 def configuration() -> str:
-    """Every key with unit and default: what `landfix doctor --config` prints."""
+    """Every key with unit and default: what `landfix doctor --config --all` prints."""
     from typer.testing import CliRunner  # noqa: PLC0415  (as in commands)
 
     from estimator.cli import app  # noqa: PLC0415
 
-    keys = CliRunner().invoke(app, ["doctor", "--config"]).stdout
+    keys = CliRunner().invoke(app, ["doctor", "--config", "--all"]).stdout
     return f"# Configuration\n*For whoever writes a configuration file.*\n\n```toml\n{keys}```\n"
 
 

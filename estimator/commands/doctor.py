@@ -13,14 +13,30 @@ if TYPE_CHECKING:
     from estimator.tools.doctor.machine import Check
 
 _COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
+_BASIC = {  # section -> keys that a vehicle has of its own; all others have a default that fits most
+    "imu": "gyro_noise accel_noise gyro_walk accel_walk axes mounting_rpy_deg",
+    "inputs": "imu gnss gnss_velocity pose_fix odometry left_image right_image",
+    "map": "origin geoid_m landmarks",
+    "rig": "file",
+    "gnss": "delay_s antenna_b_m",
+    "bounds": "vehicle",
+    "visual_odometry": "enabled",
+    "drag": "enabled",
+    "rest": "enabled",
+    "zenoh": "connect listen domain",
+    "mavlink": "endpoint baud",
+    "px4": "enabled release",
+    "log": "folder keep_gb",
+}
 
 
 def command(
     log: Annotated[Path | None, typer.Argument(metavar="[LOG.mcap]", help="A log to check with the configuration.")] = None,
     file: Annotated[Path | None, typer.Option("-c", metavar="FILE", help="TOML configuration to check.")] = None,
     keys: Annotated[
-        bool, typer.Option("--config", help="Print a configuration with every key, its default, unit and meaning.")
+        bool, typer.Option("--config", help="Print a configuration: what a vehicle has of its own, with unit and meaning.")
     ] = False,
+    every: Annotated[bool, typer.Option("--all", help="With --config: every key.")] = False,
     autopilot: Annotated[
         bool,
         typer.Option("--autopilot", help="Read the autopilot's parameters and check them; landfix must not be running."),
@@ -38,13 +54,16 @@ def command(
       landfix doctor -c vehicle.toml              and a configuration: cameras, ports, devices, secrets, the folder of the logs
       landfix doctor -c vehicle.toml --autopilot  and the parameters of the autopilot, over [mavlink] endpoint
       landfix doctor flight.mcap -c vehicle.toml  and a log: topics, rates, stamps, units, axes, delays
-      landfix doctor --config > vehicle.toml      every key of the configuration, with its default, unit and meaning
+      landfix doctor --config > vehicle.toml      what a vehicle has of its own, with default, unit and meaning
+      landfix doctor --config --all               every key of the configuration
     """
     if keys:
         if log or file:
-            raise typer.BadParameter("--config lists all keys and takes no file; check a file with -c FILE")
-        _print_keys(json)
+            raise typer.BadParameter("--config lists keys and takes no file; check a file with -c FILE")
+        _print_keys(json, every)
         return
+    if every:
+        raise typer.BadParameter("--all belongs to --config")
     if autopilot and file is None:
         raise typer.BadParameter("--autopilot needs -c FILE: [mavlink] endpoint says where it is")
     from estimator.tools.doctor import machine
@@ -84,11 +103,12 @@ def _print_checks(checks: "list[Check]", verbose: bool) -> None:
     typer.echo(f"{ok} of {len(checks)} checks ok" + ("" if verbose else " (-v shows them)"))
 
 
-def _print_keys(json: bool) -> None:
+def _print_keys(json: bool, every: bool) -> None:
     from estimator.config import Config
     from estimator.strict_toml import keys
 
-    table = keys(Config)
+    known = keys(Config)
+    table = [key for key in known if every or key.name in _BASIC.get(key.section, "").split()]
     if json:
         print_json([key._asdict() for key in table])
         return
@@ -97,3 +117,5 @@ def _print_keys(json: bool) -> None:
         for key in rows:
             line = f"# {key.name} =" if key.default == "-" else f"{key.name} = {key.default}"
             typer.echo(f"{line:<36} # {f'{key.unit}: ' if key.unit else ''}{key.meaning}")
+    if not every:
+        typer.echo(f"\n# {len(known) - len(table)} more keys: landfix doctor --config --all")

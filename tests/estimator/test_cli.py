@@ -221,17 +221,26 @@ def test_the_program_as_a_person_starts_it(tmp_path: Path) -> None:
     assert version.stdout.startswith("landfix ")
 
 
-def test_the_table_of_keys_is_a_valid_configuration_with_the_defaults(tmp_path: Path) -> None:
-    printed = run("doctor", "--config").stdout
+@pytest.mark.parametrize("every", [True, False])
+def test_the_table_of_keys_is_a_valid_configuration_with_the_defaults(*, every: bool, tmp_path: Path) -> None:
+    words = ["doctor", "--config", *(["--all"] if every else [])]
+    printed = run(*words).stdout
     assert "# m: antenna from the IMU" in printed
+    assert every or printed.count("\n") < 70, "more than a screen"
     (tmp_path / "all.toml").write_text(printed)
-    from estimator.config import Config, load  # noqa: PLC0415  (the program imports it late, too)
+    from estimator import strict_toml  # noqa: PLC0415  (the program imports these late, too)
+    from estimator.commands.doctor import _BASIC  # noqa: PLC0415
+    from estimator.config import Config, load  # noqa: PLC0415
 
     assert load(tmp_path / "all.toml") == Config()
-    rows = json.loads(run("doctor", "--config", "--json").stdout)
+    rows = json.loads(run(*words, "--json").stdout)
     assert {"section": "map", "name": "geoid_m", "default": "0.0", "unit": "m"}.items() <= next(
         r for r in rows if r["name"] == "geoid_m"
     ).items()
+    known = {(key.section, key.name) for key in strict_toml.keys(Config)}
+    shown = {(row["section"], row["name"]) for row in rows}
+    assert shown == (known if every else {(section, name) for section, names in _BASIC.items() for name in names.split()})
+    assert shown <= known
 
 
 def test_evaluate_compares_several_logs_and_goes_on_where_one_is_none(estimate: Path, flight: Path) -> None:

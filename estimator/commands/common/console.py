@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 Out = Annotated[Path, typer.Option("--out", "-o", help="File to write.")]
 ConfigFile = Annotated[
-    Path | None, typer.Option("--config", "-c", help="TOML configuration (landfix doctor --config lists all keys).")
+    Path | None, typer.Option("--config", "-c", help="TOML configuration (landfix doctor --config --all lists all keys).")
 ]
 
 Jobs = Annotated[int | None, typer.Option(metavar="N", min=1, help="Processes [default: one per core].")]

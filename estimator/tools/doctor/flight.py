@@ -138,7 +138,7 @@ def _mavlink(whole: Config, folder: Path) -> Iterator[Check]:
         address = address_of(config)
         key = signing_key(config, folder)
     except ConfigError as error:
-        yield judge("mavlink", str(error), fail=True, advice="landfix doctor --config lists the keys of [mavlink]")
+        yield judge("mavlink", str(error), fail=True, advice="landfix doctor --config --all lists the keys of [mavlink]")
         return
     if isinstance(address, Serial):
         yield _device(Path(address.path))

@@ -124,7 +124,7 @@ def configuration(path: Path | None) -> tuple[list[Check], Config | None]:
     try:
         config = read(path) if path else Config()
     except (ConfigError, OSError) as error:
-        return [judge("config", str(error), fail=True, advice="landfix doctor --config lists all keys")], None
+        return [judge("config", str(error), fail=True, advice="landfix doctor --config --all lists all keys")], None
     checks = [judge("config", str(path) if path else "defaults")]
     for name, (low, high) in TYPICAL_NOISE.items():
         value = getattr(config.imu, name)
