@@ -1,5 +1,6 @@
 """What every test may use: one thread, no display, Ctrl-C, hypothesis profiles, the folder of recorded flights."""
 
+import gc
 import os
 import signal
 from pathlib import Path
@@ -21,6 +22,12 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 settings.register_profile("dev", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("ci" if os.environ.get("CI") else "dev")
+
+
+def pytest_collection_finish() -> None:
+    """What is imported by now stays: the collector of garbage passes over it, and comes less often (5 % of a flight's time)."""
+    gc.freeze()
+    gc.set_threshold(20_000, 20, 20)
 
 
 @pytest.fixture(scope="session")

@@ -91,12 +91,12 @@ def listening(port: int) -> bool:
         return s.connect_ex(("127.0.0.1", port)) == 0
 
 
-def until(condition: Callable[[], object], what: str, seconds: float = _PATIENCE_S) -> None:
+def until(condition: Callable[[], object], what: str, seconds: float = _PATIENCE_S, every_s: float = 0.02) -> None:
     """Wait for a condition; fail when it does not come true."""
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, f"waited {seconds:g} s for: {what}"
-        time.sleep(0.02)
+        time.sleep(every_s)
 
 
 @contextmanager

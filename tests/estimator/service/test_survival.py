@@ -75,12 +75,12 @@ def test_a_process_that_was_stopped_for_three_seconds_goes_on(tmp_path: Path) ->
              "--imu-hz", "200", "--fix-hz", "5"],
             env=environment(), stdout=subprocess.DEVNULL,
         )  # fmt: skip
-        until(lambda: _estimates(tmp_path) > 200, "it flies")
+        until(lambda: _estimates(tmp_path) > 200, "it flies", every_s=0.3)
         daemon.send_signal(signal.SIGSTOP)
         time.sleep(3.0)
         daemon.send_signal(signal.SIGCONT)
         flown = _estimates(tmp_path)
-        until(lambda: _estimates(tmp_path) > flown + 300, "it flies on")
+        until(lambda: _estimates(tmp_path) > flown + 300, "it flies on", every_s=0.3)
         daemon.send_signal(signal.SIGTERM)
         assert daemon.wait(120) == 0
         vehicle.kill()
@@ -120,10 +120,7 @@ def _estimates(folder: Path) -> int:
     return len(odometry(files[-1])) if files else 0
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])  # of systemd, and of a terminal that is closed
-def test_reported_to_stop_it_stops_at_once_with_a_whole_log(tmp_path: Path, number: signal.Signals) -> None:
-    if signal.getsignal(number) is signal.SIG_IGN:
-        pytest.skip(f"{number.name} is ignored in this run, as nohup does, and so the daemon ignores it")
+def test_reported_to_stop_it_stops_at_once_with_a_whole_log(tmp_path: Path) -> None:
     port = free_port()
     text = toml(tmp_path, port)
     with as_process(text, tmp_path, port) as daemon:
@@ -133,7 +130,7 @@ def test_reported_to_stop_it_stops_at_once_with_a_whole_log(tmp_path: Path, numb
             session.put(keys.rmw_key(0, "/gnss", schemas.NAV_SAT_FIX, type_hash(schemas.NAV_SAT_FIX)), b"torn")
             until(lambda: "no IMU sample" in (tmp_path / "stderr.txt").read_text(), "it says that the IMU is silent")
             elsewhere.undeclare()  # type: ignore[no-untyped-call]
-        daemon.send_signal(number)
+        daemon.send_signal(signal.SIGTERM)
         assert daemon.wait(120) == 0
     assert torn_logs(tmp_path / "logs") == []
     assert len(records(logs_of(tmp_path)[0], "/imu")) == vehicle.sent["/imu"]
@@ -159,14 +156,16 @@ def _publisher_on_domain(session: zenoh.Session, domain: int) -> zenoh.Livelines
     )
 
 
-def test_quiet_it_prints_nothing(tmp_path: Path) -> None:
+def test_quiet_it_prints_nothing_and_a_terminal_that_is_closed_stops_it(tmp_path: Path) -> None:
+    is_ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN  # by nohup, and so by the daemon
     port = free_port()
     with as_process(toml(tmp_path, port), tmp_path, port, "--quiet") as daemon:
         with client(port) as session:
             vehicle = fly(session, 1.0)
-        daemon.send_signal(signal.SIGTERM)
+        daemon.send_signal(signal.SIGTERM if is_ignored else signal.SIGHUP)
         assert daemon.wait(120) == 0
     assert len(records(logs_of(tmp_path)[0], "/imu")) == vehicle.sent["/imu"]
+    assert torn_logs(tmp_path / "logs") == []
     assert (tmp_path / "stderr.txt").read_text() == ""
 
 
