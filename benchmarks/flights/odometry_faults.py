@@ -8,6 +8,7 @@ from msgspec.structs import replace
 
 from models import so3
 from models.messages import Array, Input, OdometryPose
+from models.relative_pose import between
 
 SECOND: Final = 1_000_000_000
 BEGINS_NS: Final = 5 * SECOND  # into the outage
@@ -91,6 +92,18 @@ def slow(poses: Poses, _start_ns: int, _seed: int) -> Iterable[Input]:
             yield pose
 
 
+def restarted(poses: Poses, start_ns: int, _seed: int) -> Iterable[Input]:
+    """5 s into the outage it begins anew at the origin, in a frame of the same name."""
+    good = [pose for pose in poses if pose.t_ns <= start_ns + BEGINS_NS]
+    yield from good
+    at: Array | None = None
+    for pose in poses[len(good) :]:
+        now = np.array((*pose.p_o, *pose.q_ob_wxyz))
+        at = now if at is None else at
+        x, y, z, *q = between(at, now).tolist()
+        yield replace(pose, p_o=(x, y, z), q_ob_wxyz=(q[0], q[1], q[2], q[3]))
+
+
 def _moved(pose: OdometryPose, by: tuple[float, float, float]) -> OdometryPose:
     return _at(pose, np.array(pose.p_o) + by)
 
@@ -116,5 +129,6 @@ FAULTS: Final[dict[str, tuple[Fault, str]]] = {
     "identity": (identity, "identity all the time"),
     "axes": (turned, "axes turned by 90 degrees"),
     "stamps": (late_stamps, "stamps 0.5 s late"),
+    "restart": (restarted, "begins anew 5 s into the outage"),
     "slow": (slow, "1 Hz"),
 }

@@ -8,7 +8,9 @@ import numpy as np
 from estimator.filter.conflict import Apart
 from estimator.filter.hypotheses import Hypotheses
 from estimator.filter.mismatch import Delays, PathScale, Scatter, delay
+from estimator.filter.relative import drift
 from estimator.sources.base.machine import SourceState
+from estimator.sources.odometry import DRIFT, drift_block
 
 VOUCHED_NS = 60_000_000_000  # a source that was fused since then is one to compare another with
 _NEW_NS = 1_000_000_000
@@ -46,12 +48,17 @@ def heading(topic: str) -> str:
     return f"the heading is that of {topic} alone until the vehicle accelerates"
 
 
-def drifts(sources: Mapping[str, SourceState]) -> list[str]:
-    """Odometry that contradicted the IMU without positions."""
+def drifts(hypotheses: Hypotheses | None) -> list[str]:
+    """Odometry that contradicted the IMU."""
+    if hypotheses is None:
+        return []
+    lead = hypotheses.lead
+    topics = sorted(block.removesuffix(DRIFT) for block in lead.slow.columns if block.endswith(DRIFT))
+    found = [(topic, drift.sigma_m_s(lead, drift_block(topic))) for topic in topics]
     return [
-        f"{topic} and the IMU have contradicted each other: each may be wrong by {s.drift_m_s:.2g} m/s"
-        for topic, s in sorted(sources.items())
-        if s.drift_m_s
+        f"{topic} and the IMU have contradicted each other: each may be wrong by {sigma:.2g} m/s"
+        for topic, sigma in found
+        if sigma > drift.BEGINS_M_S
     ]
 
 

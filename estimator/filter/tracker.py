@@ -182,7 +182,7 @@ class Tracker:
             *filter(None, (self._conflict(), remarks.heading(beside.topic) if beside is not None else "")),
             *(remarks.apart(core.conflicts.apart) if core.is_aligned and not self._conflict() else ()),
             *remarks.units(self.path_scale, core.absolute),
-            *remarks.drifts(self.sources),
+            *remarks.drifts(core.hypotheses),
             *remarks.delays(self.delays, core.hypotheses),
             *remarks.variance(core.variance_factor.lasting),
             *remarks.held(self.held_ns, core.t_ns),

@@ -1,9 +1,9 @@
 """Odometry: motion of the body against a pose kept by the filter (docs/odometry.md).
 
-    dp = (1 + s) R_0^T (p_1 - p_0) + |dp| l + v_p,   dR = R_0^T R_1 exp(v_theta)
+    dp = (1 + s) R_0^T (p_1 - p_0) + |dp| l + R_0^T d dt + v_p,   dR = R_0^T R_1 exp(v_theta)
 
-s: scale, estimated; l: considered, lasting lasting_s; v: white. Poses in an own frame become increments in the tracker, in order
-of validity, without their covariance (of all their past).
+s: scale, estimated; l: considered, lasting lasting_s; d: drift; v: white. Poses in an own frame become increments in the tracker,
+in order of validity, without their covariance (of all their past).
 """
 
 import math
@@ -22,6 +22,7 @@ from estimator.sources.base.covariance import covariance_refusal, with_default
 from estimator.sources.base.gating import cusum, gate
 from estimator.sources.base.machine import CUSUM_SLACK, Phase, SourceState
 from estimator.sources.base.rules import RULES, Rules
+from models import so3
 from models.messages import Array, OdometryDelta, OdometryPose, Reason
 from models.relative_pose import RelativePose, between
 
@@ -32,8 +33,8 @@ _CUSUM_LIMIT = 8.0  # sigma
 _MOST_ERRORS = 6  # that stay with a rig
 _LARGEST_ERROR = 100.0  # m or rad
 _FALSE_M, _FALSE_RAD = 1.0, 0.1  # half widths of the box in which a false increment is expected
-_SCALE_HOLDS_S, _DRIFTS_S, _FADES_S, _CLEARED_S = 600.0, 60.0, 10.0, 30.0
-_DRIFT_M_S = 0.01  # of any odometry, for a minute, and nothing shows it; a drift that has faded to this is forgotten
+_SCALE_HOLDS_S, _DRIFTS_S, FADES_S = 600.0, 60.0, 10.0
+DRIFT, DRIFT_M_S = ".drift", 0.01  # of any odometry, for a minute, and nothing shows it
 _USUAL = 3.0  # ratio of the sigmas of two increments of one scene
 _NOTHING = 1e-14  # m^2, rad^2: keeps a covariance positive definite
 _DISPUTED, _DISPUTED_SIGMA = 3.5, 2.5  # of a sum: two such outliers alike; from then on nothing further off is fused
@@ -284,28 +285,30 @@ def widened(
 
 def spread_at(state: SourceState, t_ns: int) -> tuple[float, float]:
     """spread_m left at t_ns: both fade."""
-    faded = math.exp(-max(t_ns - state.last_ns, 0) * 1e-9 / _FADES_S)
+    faded = math.exp(-max(t_ns - state.last_ns, 0) * 1e-9 / FADES_S)
     least_m, most_m = state.spread_m
     return least_m / faded if faded > 0.0 else math.inf, most_m * faded
 
 
-def drifting(aid: OdometryAid, state: SourceState, seconds: float) -> OdometryAid:
-    """Carries its possible velocity error, prior and found (considered).
+def drifting(aid: OdometryAid, origin: Array, seconds: float) -> OdometryAid:
+    """With a possible velocity error d in n (considered); origin: kept pose (7,).
 
-    dp_measured = dp + d dt,   sigma_d^2 = _DRIFT_M_S^2 + d_k^2
+    dp_measured = dp + R_0^T d dt,   sigma_d = DRIFT_M_S in each axis
     """
-    sigma_m_s = math.hypot(_DRIFT_M_S, state.drift_m_s)
-    drift = SlowError(_drift(aid.topic), np.eye(_XYZ), _DRIFTS_S, np.eye(_SIX, _XYZ) * sigma_m_s * seconds)
+    moved = np.zeros((_SIX, _XYZ))
+    moved[:_XYZ] = so3.matrix(origin[_XYZ:]).T * seconds
+    drift = SlowError(drift_block(aid.topic), np.eye(_XYZ) * DRIFT_M_S**2, _DRIFTS_S, moved)
     return replace(aid, slow_errors=(*aid.slow_errors, drift))
 
 
-def _drift(topic: str) -> str:
-    return f"{topic}.drift"
+def drift_block(topic: str) -> str:
+    """Name of the block of d."""
+    return f"{topic}{DRIFT}"
 
 
 def slow_blocks(topic: str) -> tuple[str, str, str]:
     """Error blocks constant within an epoch."""
-    return f"{topic}.lasting", f"{topic}.scale", _drift(topic)
+    return f"{topic}.lasting", f"{topic}.scale", drift_block(topic)
 
 
 def jumped(kept: Kept, t_ns: int, pose: Array) -> tuple[float, Array | None]:
@@ -320,10 +323,9 @@ def jumped(kept: Kept, t_ns: int, pose: Array) -> tuple[float, Array | None]:
 
 
 def arrived(state: SourceState, rules: Rules, t_ns: int, *, alone: bool) -> SourceState:
-    """An increment arrives; its found error fades with positions, lasts in an outage."""
-    spread_m, seconds = spread_at(state, t_ns), max(t_ns - state.last_ns, 0) * 1e-9
-    drift = state.drift_m_s if alone else state.drift_m_s * math.exp(-seconds / _CLEARED_S)
-    return replace(state.arrive(rules, t_ns, alone=alone), spread_m=spread_m, drift_m_s=drift if drift > _DRIFT_M_S else 0.0)
+    """An increment arrives."""
+    spread_m = spread_at(state, t_ns)
+    return replace(state.arrive(rules, t_ns, alone=alone), spread_m=spread_m)
 
 
 def widest(state: SourceState, rules: Rules) -> float:
@@ -335,14 +337,10 @@ def widest(state: SourceState, rules: Rules) -> float:
     return _DISPUTED_SIGMA if is_disputed else math.sqrt(gate(rules.gate_probability, 1))
 
 
-def judged(state: SourceState, *, alone: bool, passed: bool, off: Array, off_m_s: float) -> tuple[SourceState, bool]:
-    """The increment passed its gate or not; off (k,): innovations in sigma; off_m_s: translation, per second.
-
-    Also whether the innovations' sum exceeds its limit: then increments may be wrong by d_k = max(d_k-1, |nu_p| / dt).
-    """
+def judged(state: SourceState, *, alone: bool, passed: bool, off: Array) -> tuple[SourceState, bool]:
+    """The increment passed its gate or not; off (k,): innovations in sigma. Also whether their sum exceeds its limit."""
     if state.phase is Phase.STARTING:
         return replace(state, passed=state.passed + 1 if passed and not alone else 0), False
     sums = cusum(state.sums, np.clip(off, -_CLIP, _CLIP), np.ones(len(off)), CUSUM_SLACK)
-    if max(sums) > _CUSUM_LIMIT:
-        return replace(state, sums=(), drift_m_s=max(state.drift_m_s, off_m_s)), True
-    return replace(state, sums=sums), False
+    is_found = max(sums) > _CUSUM_LIMIT
+    return replace(state, sums=() if is_found else sums), is_found

@@ -2,7 +2,8 @@
 
     w_k <- w_k + max(l_k - max_j l_j, -c),   l = ln N(nu; 0, S), or ln of the density of a false one
 
-An increment founds no hypothesis; one that fails the gate is left out. Where no position decides, P <- P + d d^T, d = K nu.
+An increment founds no hypothesis; one that fails the gate is left out. Where no position decides, P <- P + e e^T, e = K nu. The
+velocity by which increments may be wrong: drift.py.
 """
 
 from typing import NamedTuple
@@ -12,11 +13,13 @@ from msgspec.structs import replace
 
 from estimator.filter.eskf import Innovation
 from estimator.filter.hypotheses import Hypotheses, clone_of, innovation
+from estimator.filter.relative import drift
 from estimator.sources import odometry
 from estimator.sources.base.gating import gate
 from estimator.sources.base.machine import Phase, SourceState
 from estimator.sources.odometry import Begins, Increment, Kept, OdometryAid, Posed
-from models.messages import Reason
+from models.messages import Array, Reason
+from models.relative_pose import RelativePose
 
 _MOST_SAID = 0.5  # ln: c
 _XYZ = 3
@@ -82,47 +85,57 @@ def _keep(bank: Hypotheses, aid: OdometryAid, before: Kept | None, now: Kept) ->
 
 
 def _judge(bank: Hypotheses, aid: OdometryAid, end: Increment, kept: Kept, state: SourceState, *, alone: bool) -> Step:
-    z = end.z
-    block = clone_of(aid.topic)
-    limit = gate(aid.rules.gate_probability, len(z.rows))
+    z, block, velocity = end.z, clone_of(aid.topic), odometry.drift_block(aid.topic)
     if block not in bank.lead.clones:
         return Step(Reason.THINNED, _LOST, kept._replace(name=b""), state)
     state = odometry.arrived(state, aid.rules, aid.t_ns, alone=alone)
-    seconds = (aid.t_ns - kept.t_ns) * 1e-9
     if end.reported is not None:
         aid, z, spread_m = odometry.widened(aid, z, end.reported, state.spread_m)
         state = replace(state, spread_m=spread_m)
-    aid = odometry.drifting(aid, state, seconds)
+    seconds = (aid.t_ns - kept.t_ns) * 1e-9
+    aid = odometry.drifting(aid, bank.lead.clones[block], seconds)
+    if not alone:
+        for member in bank.members:
+            drift.fade(member.filter, velocity, seconds)
     seen = [innovation(m.filter, aid, z, _NO_RATE) if block in m.filter.clones else None for m in bank.members]
     first = seen[0]
     assert first is not None
-    widest = odometry.widest(state, aid.rules)
-    off = [None if s is None else np.abs(s.nu) / np.sqrt(s.s.diagonal()) for s in seen]
-    passed = [
-        s is not None and o is not None and s.distance2 <= limit and bool(o.max() <= widest)
-        for s, o in zip(seen, off, strict=True)
-    ]
+    limit, widest = gate(aid.rules.gate_probability, len(z.rows)), odometry.widest(state, aid.rules)
+    passed = [s is not None and s.distance2 <= limit and bool(_off(s).max() <= widest) for s in seen]
+    rows = z.rows < _XYZ
+    state, is_found = odometry.judged(state, alone=alone, passed=passed[0], off=_off(first)[rows if rows.any() else ~rows])
     is_active = state.phase is Phase.ACTIVE
-    moved = z.rows < _XYZ if (z.rows < _XYZ).any() else z.rows >= _XYZ
-    drift = first.nu[moved] / np.sqrt(first.s.diagonal()[moved])
-    off_m_s = float(np.linalg.norm(first.nu[z.rows < _XYZ])) / seconds
-    state, is_found = odometry.judged(state, alone=alone, passed=passed[0], off=drift, off_m_s=off_m_s)
-    fused = is_active and passed[0] and not is_found
-    if is_active and not is_found:
-        _fuse(bank, aid, seen, passed)
-    elif is_found and alone:
-        for member, s in zip(bank.members, seen, strict=True):
-            if s is not None:
-                member.filter.cover(s)
+    if is_found:
+        _found(bank, aid, z, seen, alone=alone)
+    elif is_active:
+        _fuse(bank, aid, z, seen, passed)
+    sigma_m_s = drift.sigma_m_s(bank.lead, velocity)
     for member in bank.members:
         if block in member.filter.clones:
             member.filter.forget(block)
+    fused = is_active and passed[0] and not is_found
     reason = Reason.FUSED if fused else Reason.PROBATION if passed[0] and not is_active else Reason.GATED
-    said = _DISPUTED.format(state.drift_m_s) if state.drift_m_s else ""
+    said = _DISPUTED.format(sigma_m_s) if sigma_m_s > drift.BEGINS_M_S else ""
     return Step(reason, said, kept._replace(name=b""), state if not fused else replace(state, fused_ns=aid.t_ns), first, limit)
 
 
-def _fuse(bank: Hypotheses, aid: OdometryAid, seen: list[Innovation | None], passed: list[bool]) -> None:
+def _off(seen: Innovation) -> Array:
+    return np.abs(seen.nu) / np.sqrt(seen.s.diagonal())
+
+
+def _found(bank: Hypotheses, aid: OdometryAid, z: RelativePose, seen: list[Innovation | None], *, alone: bool) -> None:
+    """Increments contradict the estimate: widen the drift and, alone, cover both; nothing is fused."""
+    for member, s in zip(bank.members, seen, strict=True):
+        if s is not None:
+            drift.suspect(member.filter, s, aid, z, 1.0)
+            if alone:
+                member.filter.cover(s)
+
+
+def _fuse(bank: Hypotheses, aid: OdometryAid, z: RelativePose, seen: list[Innovation | None], passed: list[bool]) -> None:
+    for k, (member, s) in enumerate(zip(bank.members, seen, strict=True)):
+        if s is not None and passed[k] and drift.suspect(member.filter, s, aid, z, aid.rules.false_share):
+            seen[k] = innovation(member.filter, aid, z, _NO_RATE)
     said = [None if s is None else s.log_likelihood if p else aid.log_false for s, p in zip(seen, passed, strict=True)]
     best = max(t for t in said if t is not None)
     for member, s, was_passed in zip(bank.members, seen, passed, strict=True):

@@ -37,7 +37,6 @@ class SourceState(msgspec.Struct, frozen=True):
     passed: int = 0  # in a row, while starting
     held_until_ns: int = _NEVER
     sums: tuple[float, ...] = ()
-    drift_m_s: float = 0.0  # of odometry that has contradicted the estimate: by so much it may be wrong
     failed_ns: int = _NEVER  # first gate that failed since the last reading that was fused
     is_refuted: bool = False  # gates failed for longer than hold_s, while positions confirmed the estimate
     spread_m: tuple[float, float] = (math.inf, 0.0)  # of odometry: smallest and largest sigma of late, fading since last_ns

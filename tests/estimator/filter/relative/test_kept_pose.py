@@ -6,10 +6,10 @@ import pytest
 from estimator.filter.eskf import Eskf
 from estimator.filter.hypotheses import Hypotheses, Hypothesis, clone_of
 from estimator.filter.imu_buffer import ImuBuffer
-from estimator.filter.relative import steps
+from estimator.filter.relative import drift, steps
 from estimator.sources.aids import SourcesConfig, aid_of
 from estimator.sources.base.machine import Phase, SourceState
-from estimator.sources.odometry import OdometryAid, OdometryConfig
+from estimator.sources.odometry import OdometryAid, OdometryConfig, drift_block
 from models import imu
 from models.imu import Coast, ImuNoise
 from models.measurements import Position
@@ -148,6 +148,6 @@ def test_where_it_contradicts_for_good_and_no_other_source_decides_the_covarianc
         step = steps.take(bank, end, kept, state, alone=True)
         state = step.state
     assert (state.phase, step.reason) == (Phase.ACTIVE, Reason.GATED)
-    assert state.drift_m_s == pytest.approx(0.6)
+    assert drift.sigma_m_s(f, drift_block(end.topic)) == pytest.approx(0.6, abs=0.02)
     assert abs(f.x[X.V][0] - 2.0) < 0.1  # the IMU's
     assert 3.0 * np.sqrt(f.cov[3, 3]) > 0.6  # the odometry's 1.4 m/s is within three sigma
