@@ -1,12 +1,11 @@
-"""The camera: pinhole with Brown distortion, and two of them as a stereo rig on the body.
+"""Pinhole camera with Brown distortion, and a stereo rig on the body.
 
     a = x / z,  b = y / z,  s = a^2 + b^2                                              (thesis eq. 3.21-3.23)
     g = (1 + k1 s + k2 s^2 + k3 s^3) / (1 + k4 s + k5 s^2 + k6 s^3)                                  (radial)
     a' = a g + 2 p1 a b + p2 (s + 2 a^2),   b' = b g + p1 (s + 2 b^2) + 2 p2 a b     (Brown 1966; eq. 3.29-3.31)
     u = fx a' + cx,   v = fy b' + cy                                                        (thesis eq. 3.26)
 
-Coefficients stand in OpenCV's order k1 k2 p1 p2 [k3 [k4 k5 k6]]; pixel centres are at integer coordinates, (u, v) = (column,
-row). The camera frame c is right, down, forward.
+OpenCV's order k1 k2 p1 p2 [k3 [k4 k5 k6]]; pixel centres at integers, (u, v) = (column, row); c is right, down, forward.
 """
 
 import math
@@ -25,10 +24,9 @@ _CONVERGED = 1e-13  # normalised plane: far below 1e-9 px
 
 
 class CameraModel(msgspec.Struct, frozen=True, eq=False, dict=True):
-    """One camera: size of its image [px], focal lengths and principal point [px], distortion.
+    """Image size, focal lengths, principal point [px], distortion.
 
-    covariance: (4 + n, 4 + n) of (fx, fy, cx, cy, *distortion), None = exact.
-    Raises ValueError where the numbers are not a camera.
+    covariance: (4 + n, 4 + n) of (fx, fy, cx, cy, *distortion), None = exact. Raises ValueError.
     """
 
     width: int
@@ -56,12 +54,12 @@ class CameraModel(msgspec.Struct, frozen=True, eq=False, dict=True):
 
     @cached_property
     def parameters(self) -> Array:
-        """fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6 and the largest s that is projected, for the kernels."""
+        """fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6 and the largest projected s, for kernels."""
         distortion = self.distortion + (0.0,) * (8 - len(self.distortion))
         return np.array([self.fx, self.fy, self.cx, self.cy, *distortion, _fold(distortion)])
 
     def project(self, x_c: Array) -> Array:
-        """Pixels (N, 2) of points x_c (N, 3) [m]; NaN behind the camera, and so far aside that the lens model folds back."""
+        """Pixels (N, 2) of x_c (N, 3) [m]; NaN behind the camera and beyond the lens model's fold."""
         return project(_points(x_c, 3), self.parameters)
 
     def project_jacobian(self, x_c: Array) -> Array:
@@ -69,11 +67,11 @@ class CameraModel(msgspec.Struct, frozen=True, eq=False, dict=True):
         return projected(_points(x_c, 3), self.parameters)[1]
 
     def parameter_jacobian(self, x_c: Array) -> Array:
-        """d(u, v) / d(fx, fy, cx, cy, *distortion): (N, 2, 4 + n), the order of `covariance`; NaN where project is."""
+        """d(u, v) / d(fx, fy, cx, cy, *distortion): (N, 2, 4 + n); NaN as project."""
         return parameter_jacobian(_points(x_c, 3), self.parameters)[:, :, : 4 + len(self.distortion)]
 
     def undistort(self, px: Array) -> Array:
-        """Normalised plane coordinates (x/z, y/z) (N, 2) of pixels (N, 2): project's inverse; NaN where there is none."""
+        """(x/z, y/z) (N, 2) of pixels (N, 2), inverse of project; NaN where there is none."""
         return _undistort(_points(px, 2), self.parameters)
 
     def ray(self, px: Array) -> Array:
@@ -84,14 +82,14 @@ class CameraModel(msgspec.Struct, frozen=True, eq=False, dict=True):
         return ray
 
     def contains(self, px: Array, margin_px: float = 0.0) -> NDArray[np.bool_]:
-        """Which pixels (N, 2) lie in the image, at least margin_px from its border; NaN does not."""
+        """Pixels (N, 2) at least margin_px inside the image; NaN is not."""
         low, high = margin_px - 0.5, np.array([self.width, self.height]) - 0.5 - margin_px
         inside: NDArray[np.bool_] = np.all((px >= low) & (px <= high), axis=1)
         return inside
 
 
 class Mount(msgspec.Struct, frozen=True, eq=False):
-    """Two cameras on a body: x_r = R_rc @ x_c + t_rc (c = left, r = right camera), x_b = R_bc @ x_c + p_bc; not checked."""
+    """Two cameras on a body, unchecked: x_r = R_rc @ x_c + t_rc (c left, r right), x_b = R_bc @ x_c + p_bc."""
 
     left: CameraModel
     right: CameraModel
@@ -102,11 +100,10 @@ class Mount(msgspec.Struct, frozen=True, eq=False):
 
 
 class StereoRig(Mount, frozen=True, eq=False, dict=True):
-    """A mount as calibrated, checked, and how sure that is.
+    """A checked, calibrated mount.
 
-    Covariances (6, 6) in order x y z rx ry rz, m^2 and rad^2, about the axes of the frame left of the name (r, b):
-    t_true = t + dt, R_true = exp(dtheta) @ R; None = exact. time_offset_s: shutter time minus stamp. one_camera: the right
-    camera stands in for none, and an image of it is never used.
+    Covariances (6, 6), x y z rx ry rz, m^2 and rad^2, about the axes of the name's left frame (r, b): t_true = t + dt, R_true =
+    exp(dtheta) @ R; None = exact. time_offset_s: shutter minus stamp. one_camera: the right camera is unused.
     """
 
     covariance_rc: Array | None = None
@@ -131,7 +128,7 @@ class StereoRig(Mount, frozen=True, eq=False, dict=True):
 
     @property
     def baseline_m(self) -> float:
-        """Distance of the two centres, L of Z = f L / disparity (thesis eq. 3.128)."""
+        """Distance of the centres, L of Z = f L / disparity (thesis eq. 3.128)."""
         return float(np.linalg.norm(self.t_rc))
 
     def to_right(self, x_c: Array) -> Array:
@@ -139,11 +136,11 @@ class StereoRig(Mount, frozen=True, eq=False, dict=True):
         return x_c @ self.R_rc.T + self.t_rc
 
     def camera_pose(self, p_n: Array, R_nb: Array) -> tuple[Array, Array]:
-        """(p_nc, R_nc) of the left camera: p_nc = p_n + R_nb p_bc, R_nc = R_nb R_bc."""
+        """Left camera: p_nc = p_n + R_nb p_bc, R_nc = R_nb R_bc."""
         return p_n + R_nb @ self.p_bc, R_nb @ self.R_bc
 
     def right_camera_pose(self, p_n: Array, R_nb: Array) -> tuple[Array, Array]:
-        """(p_nr, R_nr) of the right camera: R_nr = R_nc R_rc^T, p_nr = p_nc - R_nr t_rc."""
+        """Right camera: R_nr = R_nc R_rc^T, p_nr = p_nc - R_nr t_rc."""
         p_nc, R_nc = self.camera_pose(p_n, R_nb)
         R_nr = R_nc @ self.R_rc.T
         return p_nc - R_nr @ self.t_rc, R_nr
@@ -157,10 +154,9 @@ def _points(x: Array, columns: int) -> Array:
 
 
 def _fold(distortion: tuple[float, ...]) -> float:
-    """The s = tan^2(angle) up to which the distorted radius r g(r^2) grows, inf if it always does.
+    """s = tan^2(angle) up to which r g(r^2) grows, inf if always.
 
-    d(r g) / dr = ((P + 2 s P') Q - 2 s P Q') / Q^2, g = P / Q. Beyond its first zero points from far outside would be drawn
-    into the image once more.
+    d(r g) / dr = ((P + 2 s P') Q - 2 s P Q') / Q^2, g = P / Q. Points beyond would be imaged twice.
     """
     k1, k2, _, _, k3, k4, k5, k6 = distortion
     if not any(distortion):
@@ -190,7 +186,7 @@ def _distort(a: float, b: float, k: Array) -> tuple[float, float, float, float, 
 
 @njit(cache=True)
 def project(x_c: Array, k: Array) -> Array:
-    """CameraModel.project of points x_c (N, 3), k: its parameters; for other kernels, as the next two."""
+    """CameraModel.project of x_c (N, 3), k: parameters; for kernels, as the next two."""
     px = np.full((x_c.shape[0], 2), np.nan)
     for i in range(x_c.shape[0]):
         if x_c[i, 2] > 0.0:
@@ -244,7 +240,7 @@ def parameter_jacobian(x_c: Array, k: Array) -> Array:
 
 @njit(cache=True)
 def _undistort(px: Array, k: Array) -> Array:
-    """Newton from the distorted point: the radius converges from one side, as it is convex or concave up to the fold."""
+    """Newton from the distorted point, one-sided convergence up to the fold."""
     plane = np.full((px.shape[0], 2), np.nan)
     for i in range(px.shape[0]):
         u, v = (px[i, 0] - k[2]) / k[0], (px[i, 1] - k[3]) / k[1]

@@ -1,4 +1,4 @@
-"""Cholesky's factor of a symmetric positive definite matrix, S = L L^T, and what is solved with it; compiled, for small ones."""
+"""Cholesky S = L L^T of small matrices, and solutions with it; compiled."""
 
 import math
 
@@ -10,7 +10,7 @@ from models.messages import Array
 
 @njit(cache=True, error_model="numpy")
 def factor(s: Array, low: Array) -> bool:
-    """Fill the lower triangle of low, which may be S itself, with L of S (m, m); False where S is not positive definite."""
+    """Lower triangle of low (may be S) <- L of S (m, m); False unless positive definite."""
     for i in range(s.shape[0]):
         for j in range(i + 1):
             total = s[i, j]
@@ -62,7 +62,7 @@ def substitute(low: Array, b: Array) -> None:
 
 @njit(cache=True, error_model="numpy")
 def inverse(s: Array) -> Array:
-    """S^-1 = L^-T L^-1 (m, m), exactly symmetric. Raises numpy.linalg.LinAlgError where S is not positive definite."""
+    """S^-1 = L^-T L^-1 (m, m), symmetric. Raises numpy.linalg.LinAlgError."""
     m = s.shape[0]
     low, root, result = np.empty((m, m)), np.zeros((m, m)), np.empty((m, m))
     for i in range(m):

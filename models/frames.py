@@ -1,7 +1,7 @@
-"""The world: WGS-84 <-> local NED, gravity and Earth rate at a place, NED/FRD <-> ENU/FLU.
+"""WGS-84 <-> local NED, gravity, Earth rate, NED/FRD <-> ENU/FLU.
 
-n is tangent to the ellipsoid at the map origin and stays parallel to itself: at a place away from the origin "down" is not
-exactly n's z (1 km: 0.16 mrad), so gravity is computed at the place and turned into n's axes.
+n is tangent at the map origin: elsewhere down differs from n's z (0.16 mrad per km), so gravity is computed at the position and
+turned into n.
 """
 
 import math
@@ -25,7 +25,7 @@ FLU_FROM_FRD = np.diag([1.0, -1.0, -1.0])  # its own inverse
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Where n touches the Earth: geodetic latitude and longitude [deg], height above the WGS-84 ellipsoid [m]."""
+    """Origin of n: geodetic latitude, longitude [deg], height above WGS-84 [m]."""
 
     lat_deg: float
     lon_deg: float
@@ -37,12 +37,12 @@ class Origin:
         return None if lla is None else cls(*lla)
 
     def to_ned(self, lat_deg: float, lon_deg: float, alt_m: float) -> Vec3:
-        """Position in n [m] of a geodetic place, exactly (by way of ECEF)."""
+        """Position in n [m] of a geodetic position, exact (ECEF)."""
         n, e, d = pymap3d.geodetic2ned(lat_deg, lon_deg, alt_m, self.lat_deg, self.lon_deg, self.alt_m)
         return float(n), float(e), float(d)
 
     def to_geodetic(self, p_n: Array | Vec3) -> Vec3:
-        """Latitude [deg], longitude [deg], ellipsoid height [m] of a position in n (by way of ECEF)."""
+        """Latitude, longitude [deg], ellipsoid height [m] of a position in n."""
         lat, lon, alt = _geodetic(p_n[0], p_n[1], p_n[2], math.radians(self.lat_deg), math.radians(self.lon_deg), self.alt_m)
         return math.degrees(lat), math.degrees(lon), alt
 
@@ -53,14 +53,14 @@ class Origin:
 
     @property
     def axes_e(self) -> Array:
-        """C_ne (3, 3): north, east and down at the place, as rows in ECEF (Groves 2013, eq. 2.150)."""
+        """C_ne (3, 3): north, east, down as rows in ECEF (Groves 2013, eq. 2.150)."""
         lat, lon = math.radians(self.lat_deg), math.radians(self.lon_deg)
         slat, clat, slon, clon = math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)
         return np.array([[-slat * clon, -slat * slon, clat], [-slon, clon, 0.0], [-clat * clon, -clat * slon, -slat]])
 
     @property
     def earth_rate_n(self) -> Array:
-        """Rotation rate of the Earth in n's axes, rad/s (Groves 2013, eq. 5.41)."""
+        """Earth rate in n, rad/s (Groves 2013, eq. 5.41)."""
         lat = math.radians(self.lat_deg)
         return np.array([EARTH_RATE * math.cos(lat), 0.0, -EARTH_RATE * math.sin(lat)])
 
@@ -83,10 +83,9 @@ def normal_gravity(lat_rad: float, alt_m: float) -> float:
 
 @njit(cache=True)
 def _geodetic(north: float, east: float, down: float, lat0: float, lon0: float, alt0: float) -> tuple[float, float, float]:
-    """Latitude, longitude [rad] and height [m] of a place in n, whose origin is at lat0, lon0 [rad], alt0 [m].
+    """Latitude, longitude [rad], height [m] in n with origin lat0, lon0 [rad], alt0 [m].
 
-    ECEF by rotation, then Bowring's (1976) latitude, iterated: below 1e-9 m after two rounds up to 100 km of height. The general
-    library takes 200 us for it, and the global position goes out at 30 Hz.
+    Bowring (1976), iterated: below 1e-9 m up to 100 km of height; pymap3d takes 200 us, too slow at 30 Hz.
     """
     slat, clat, slon, clon = math.sin(lat0), math.cos(lat0), math.sin(lon0), math.cos(lon0)
     radius = _EARTH_RADIUS / math.sqrt(1.0 - _E2 * slat * slat)

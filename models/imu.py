@@ -1,22 +1,20 @@
-"""The motion model: strapdown mechanisation, error transition and process noise, as compiled kernels.
+"""Strapdown mechanisation, error transition and process noise, compiled (docs/estimator.md, section 2).
 
     p' = v,   v' = R (f - b_a - n_a) + g(p) - 2 w_ie x v,   R' = R [w - b_g - n_g - R^T w_ie]x,   b' = n_b
                                                                         (Groves 2013, sec. 5.3; Sola 2017, eq. 235)
-Rates and specific forces are taken as linear in time between two samples; what that leaves out is noise (models.sampling). Over
-one step of length h, with R0, Rm, R1 at its beginning, middle and end, and a = R f in n:
+Rates and specific forces are linear between samples (rest: models.sampling). Over a step h, R0, Rm, R1 at start, middle, end:
 
     alpha = h (w0 + w1)/2 + h^2/12 w0 x w1                               (exact to h^3 for linear w; Groves 2013, eq. 5.80)
     s_v = h/6 (R0 f0 + 4 Rm fm + R1 f1),   s_p = h^2/6 (R0 f0 + 2 Rm fm)                              (Simpson's rule)
     v1 = v0 + s_v + h (g - 2 w_ie x v),    p1 = p0 + h v0 + s_p + h^2/2 (g - 2 w_ie x v)
 
-Error transition (local attitude error; exact in theta because R(t) theta(t) is constant without bias):
+Error transition (local attitude error):
 
     dp1 = dp + h dv - [s_p]x R0 theta + h^2/6 [s_v]x Rm db_g - h^2/2 Rm db_a
     dv1 = (I - 2h [w_ie]x) dv + h G dp - [s_v]x R0 theta + h/2 [s_v]x Rm db_g - h Rm db_a,  G = g/r diag(-1, -1, 2)
     theta1 = R1^T (I - h [w_ie]x) R0 theta - h R1^T Rm db_g
 
-When the IMU itself is missing the model is constant velocity with a turn rate that dies away, and much larger noise (`coast`).
-States beyond E.SIZE in P are slow errors of the aids, first-order Gauss-Markov: c1 = exp(-h/tau) c + n_c.
+Without IMU: constant velocity, decaying turn rate, larger noise (`coast`). Slow errors beyond E.SIZE: c1 = exp(-h/tau) c + n_c.
 """
 
 import math
@@ -44,7 +42,7 @@ _LANES = 8  # numbers that a vector register holds
 
 
 class ImuNoise(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Noise densities and random walks of the IMU as mounted: vibration makes them up to 20 x the data sheet's."""
+    """Noise densities and walks as mounted: vibration makes them up to 20 x the data sheet's."""
 
     gyro_noise: Annotated[float, msgspec.Meta(ge=1e-9, le=10, description="rad/s/sqrt(Hz): white noise of the gyroscope")] = 2e-3
     accel_noise: Annotated[
@@ -59,13 +57,13 @@ class ImuNoise(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = 1e-3
 
     def scaled(self, factor: float) -> "ImuNoise":
-        """That of an IMU whose noise and walks are so many times as large."""
+        """Noise and walk times `factor`."""
         densities = {name: factor * getattr(self, name) for name in ("gyro_noise", "accel_noise", "gyro_walk", "accel_walk")}
         return msgspec.structs.replace(self, **densities)
 
 
 class Coast(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The model that carries on when IMU samples are missing."""
+    """Motion model without IMU samples."""
 
     gap_s: Annotated[float, msgspec.Meta(ge=1e-3, le=60, description="s: longer gaps between IMU samples are coasted")] = 0.1
     accel_noise: Annotated[
@@ -96,7 +94,7 @@ _TURN_S = 1.0  # a turn lasts about as long; the next one is about another axis,
 
 
 def constants(noise: ImuNoise, coast: Coast, origin: Origin | None) -> Array:
-    """Everything the kernels need besides state and samples, packed in the order of C."""
+    """Constants of the kernels, in the order of C."""
     c = np.zeros(_C_SIZE)
     c[_C_GRAVITY] = GRAVITY
     if origin is not None:
@@ -111,14 +109,14 @@ def constants(noise: ImuNoise, coast: Coast, origin: Origin | None) -> Array:
 
 
 def in_doubt(constants: Array) -> Array:
-    """The constants of an IMU that is wrong in an unknown way: its noise is that of an unknown motion, as while coasting."""
+    """Constants of an IMU wrong in an unknown way: noise of an unknown motion, as coasting."""
     c = constants.copy()
     c[_C_GYRO_PSD], c[_C_ACCEL_PSD] = c[_C_COAST_GYRO_PSD], c[_C_COAST_ACCEL_PSD]
     return c
 
 
 def unknown_motion(constants: Array, dt: float) -> Array:
-    """Covariance (15, 15) of what an unknown motion adds in dt seconds, the vertical unknown by its own turning:
+    """Covariance (15, 15) of an unknown motion over dt, vertical unknown by its own turning:
 
     s_v = (q_a + g^2 q_w dt^2 / 3) dt,   s_p = s_v dt^2 / 3,   s_pv = s_v dt / 2,   s_theta = q_w dt
     """
@@ -135,7 +133,6 @@ def unknown_motion(constants: Array, dt: float) -> Array:
 
 @njit(cache=True, inline="always")
 def _matrix_into(q: Array, r: Array) -> None:
-    """so3.matrix without a new array."""
     w, x, y, z = q[0], q[1], q[2], q[3]
     r[0, 0], r[0, 1], r[0, 2] = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)
     r[1, 0], r[1, 1], r[1, 2] = 2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)
@@ -159,9 +156,9 @@ _FIRST, _LAST = (_P,) * _T + (_T,) * 3, (_N,) * _T + (_A,) * 3
 
 @njit(cache=True, error_model="numpy")
 def _strapdown(x: Array, h: float, ends: Array, c: Array, r: Array, n: Array, phi: Array) -> None:
-    """One step of the nominal state, in place; fills r = R0, Rm, R1 (3, 3, 3) and the error transition phi (9, 15).
+    """One nominal step in place; fills r = R0, Rm, R1 (3, 3, 3) and phi (9, 15).
 
-    ends (4, 3): w0, w1, f0, f1. Scratch: n (3, 3), R (f - b_a) of the three, of which s_p and s_v are made.
+    ends (4, 3): w0, w1, f0, f1. Scratch: n (3, 3), R (f - b_a) of the three.
     """
     q, r0, rm, r1 = x[_XQ:_XG], r[0], r[1], r[2]
     wx, wy, wz = c[_C_EARTH], c[_C_EARTH + 1], c[_C_EARTH + 2]
@@ -222,9 +219,9 @@ def _strapdown(x: Array, h: float, ends: Array, c: Array, r: Array, n: Array, ph
 
 @njit(cache=True, error_model="numpy")
 def _transition_rows(phi: Array, m: Array, out: Array) -> None:
-    """out (9, k) = phi m, m (15, k): position, velocity and attitude rows of Phi m; its bias rows are those of m.
+    """out (9, k) = phi m, m (15, k): position, velocity, attitude rows of Phi m.
 
-    One inner loop an output row, its coefficients in scalars: the form that LLVM turns into vector instructions.
+    One inner loop a row with scalar coefficients: vectorised by LLVM.
     """
     k = m.shape[1]
     for i in range(3):
@@ -260,7 +257,7 @@ def _transition_rows(phi: Array, m: Array, out: Array) -> None:
 
 @njit(cache=True, inline="always")
 def _covariance(p: Array, phi: Array, rows: Array) -> None:
-    """P <- Phi P Phi^T, in place; p: (15, >= 15) rows of P, exactly symmetric in the 15; scratch: rows (9, like p)."""
+    """P <- Phi P Phi^T, in place; p: (15, >= 15) rows of P, symmetric in the 15; scratch: rows (9, like p)."""
     _transition_rows(phi, p, rows)
     for i in range(_G):
         for j in range(i, _G):
@@ -277,10 +274,7 @@ def _covariance(p: Array, phi: Array, rows: Array) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _is_saturated(u: Array, i: int, sensor: int) -> bool:
-    """Sample i, or the one before it, is at the end of the sensor's range: an axis reads a large number, and read it just before.
-
-    Noise never repeats itself to the bit; the end of a range does, on either side.
-    """
+    """Saturation of sample i or the one before: an axis repeats a large value to the bit."""
     for at in range(max(i - 1, 0), i + 1):
         for k in range(3 * sensor, 3 * sensor + 3):
             size = abs(u[at, k])
@@ -295,10 +289,9 @@ def _is_saturated(u: Array, i: int, sensor: int) -> bool:
 def _add_noise(
     p: Array, x: Array, h: float, i: int, coasting: bool, t_ns: NDArray[np.int64], u: Array, known: Array, c: Array
 ) -> None:
-    """P <- P + Q of white acceleration, turn-rate and bias noise over h (position part: the double integral).
+    """P <- P + Q of white acceleration, turn-rate and bias noise over h (position: double integral).
 
-    A share s of the turn rate is wrong for T, as a turn lasts: density s^2 T |w - b_g|^2, (rad/s)^2/Hz.
-    A saturated sample shows as little as a missing one.
+    A share s of the turn rate is wrong for T: density s^2 T |w - b_g|^2, (rad/s)^2/Hz. Saturated samples count as missing.
     """
     gyro, accel = c[_C_COAST_GYRO_PSD], c[_C_COAST_ACCEL_PSD]
     if not coasting:
@@ -327,9 +320,9 @@ def _add_noise(
 
 @njit(cache=True, inline="always")
 def _gauss_markov(cov: Array, p: Array, h: float, tau: Array, psd: Array) -> None:
-    """Slow errors: c1 = exp(-h/tau) c + n, Q = q tau/2 (1 - exp(-2 h/tau)); Q = q h where tau is infinite.
+    """c1 = exp(-h/tau) c + n, Q = q tau/2 (1 - exp(-2 h/tau)); Q = q h for infinite tau.
 
-    cov (n, n): their own covariance behind the 15; p (15, >= n): what the 15 have in common with them, in the same columns.
+    cov (n, n): covariance behind the 15; p (15, >= n): cross-covariances in the same columns.
     """
     n, last, stays = cov.shape[0], 0.0, 1.0
     for k in range(tau.shape[0]):
@@ -349,10 +342,10 @@ def _gauss_markov(cov: Array, p: Array, h: float, tau: Array, psd: Array) -> Non
 
 @njit(cache=True, error_model="numpy")
 def _coast(x: Array, h: float, age: float, w: Array, c: Array, r: Array, phi: Array) -> None:
-    """One step of the nominal state without IMU: attitude turns on at the last rate, which dies away, and v with it.
+    """One nominal step without IMU: the last rate decays, v turns with the attitude.
 
     psi = integral of w_n,z;  v1 = Rz(psi) v,  p1 = p + h v,  R1 = R exp(alpha)      (coordinated turn; Bar-Shalom 2001, 11.7)
-    The error transition is that of constant velocity: theta and dv do not mix.
+    Error transition of constant velocity: theta and dv do not mix.
     """
     decay = c[_C_TURN_DECAY_S]
     gain = decay * (math.exp(-age / decay) - math.exp(-(age + h) / decay))
@@ -383,9 +376,9 @@ def _step(
     x: Array, t_ns: NDArray[np.int64], u: Array, count: int, i: int, from_ns: int, to_ns: int, c: Array,
     rotations: Array, ends: Array, n: Array, phi: Array,
 ) -> bool:  # fmt: skip
-    """The nominal state from `from_ns` to `to_ns`, both within the interval that sample i closes; True where it had to coast.
+    """The nominal state from `from_ns` to `to_ns`, within sample i's interval; True if it coasted.
 
-    Fills phi (9, 15), the error transition. Scratch: rotations (3, 3, 3), ends (4, 3).
+    Fills phi (9, 15). Scratch: rotations (3, 3, 3), ends (4, 3).
     """
     h = (to_ns - from_ns) * _NS
     if i <= 0:
@@ -409,7 +402,7 @@ def _step(
 
 @njit(cache=True, error_model="numpy")
 def _of_state(cov: Array) -> Array:
-    """The first 15 rows of P (n, n), and columns of zeros behind them: they fill vector registers, no rest is done one by one."""
+    """First 15 rows of P (n, n), zero columns appended to fill vector registers."""
     n = cov.shape[0]
     p = np.zeros((_N, -(-n // _LANES) * _LANES))
     for i in range(_N):
@@ -420,7 +413,7 @@ def _of_state(cov: Array) -> Array:
 
 @njit(cache=True, error_model="numpy")
 def _into(cov: Array, p: Array) -> None:
-    """The other way: rows and columns of the 15 in P (n, n) from p (15, >= n)."""
+    """Rows and columns of the 15 in P (n, n) from p (15, >= n)."""
     for i in range(_N):
         for j in range(cov.shape[0]):
             cov[i, j] = p[i, j]
@@ -431,19 +424,18 @@ def propagate(
     x: Array, cov: Array, t_ns: NDArray[np.int64], u: Array, known: Array, count: int, i: int, from_ns: int, to_ns: int,
     c: Array, tau: Array, psd: Array,
 ) -> bool:  # fmt: skip
-    """Take state and covariance from `from_ns` to `to_ns`, in place; False where the result is not sound (state.sound).
+    """State and covariance from `from_ns` to `to_ns`, in place; False where unsound (state.sound).
 
-    x: (16,) nominal; cov: (n, n), n = 15 + slow errors; t_ns (>= count,), u (>= count, 6): samples in time order, gyro then
-    accel; known (>= count, sampling.SIZE): what they tell of the time between them (sampling.learn), zero: nothing; i: first
-    sample with t_ns[i] > from_ns; c: constants(); tau, psd: (n - 15,) of the slow errors, s and variance per s.
-    Between two samples the IMU is interpolated; where they are further apart than the gap, or missing, the state coasts.
-    A stop at a sample's own time changes no bit of the result, a stop between samples splits the interval there.
+    x: (16,); cov: (n, n), n = 15 + slow errors; t_ns (>= count,), u (>= count, 6): samples, gyro then accel; known (>= count,
+    sampling.SIZE): sampling.learn, or zero; i: first sample with t_ns[i] > from_ns; c: constants(); tau, psd: (n - 15,), s and
+    variance per s. Samples are interpolated; beyond the gap the state coasts. A stop at a sample's time changes no bit; one
+    between splits the interval.
     """
     return bool(advance(x, cov, _NOTHING, t_ns, u, known, count, i, from_ns, to_ns, c, tau, psd))
 
 
 def transition(x: Array, t_ns: NDArray[np.int64], u: Array, count: int, i: int, from_ns: int, to_ns: int, c: Array) -> Array:
-    """Error transition Phi (15, 15) from `from_ns` to `to_ns` along the nominal motion that starts in x (not changed)."""
+    """Phi (15, 15) from `from_ns` to `to_ns` along the motion from x (unchanged)."""
     whole: Array = np.eye(_N)
     advance(x.copy(), _NOTHING, whole, t_ns, u, _NOTHING, count, i, from_ns, to_ns, c, _NONE, _NONE)
     return whole
@@ -454,7 +446,7 @@ def advance(
     x: Array, cov: Array, whole: Array, t_ns: NDArray[np.int64], u: Array, known: Array, count: int, i: int, from_ns: int,
     to_ns: int, c: Array, tau: Array, psd: Array,
 ) -> bool:  # fmt: skip
-    """propagate, and whole (15, 15) <- Phi whole; either of cov and whole may be empty: one kernel for both, and for others."""
+    """propagate, and whole (15, 15) <- Phi whole; either of cov and whole may be empty: one kernel."""
     n = cov.shape[0]
     p = _of_state(cov)
     rows = np.empty((_G, max(p.shape[1], _N)))
@@ -481,7 +473,7 @@ def advance(
 
 
 def interpolate(t_ns: NDArray[np.int64], u: Array, count: int, i: int, at_ns: int) -> Array:
-    """The IMU sample (6,) at `at_ns`, linear between samples i-1 and i (i: first sample with t_ns[i] > at_ns)."""
+    """IMU sample (6,) at `at_ns`, linear between i-1 and i (first with t_ns[i] > at_ns)."""
     before, after = max(i - 1, 0), min(i, count - 1)
     share = 0.0 if before == after else (at_ns - int(t_ns[before])) / int(t_ns[after] - t_ns[before])
     between: Array = u[before] + share * (u[after] - u[before])

@@ -1,9 +1,9 @@
-"""Measurement models: what each aid should have read, and how its reading depends on the error state.
+"""Measurement models.
 
     nu = z (-) h(x_hat) = H dx + v,   v ~ N(0, R)
 
-A `Measurement` is a value made once from a message; `evaluate(x, gyro_b)` gives nu (m,) and H (m, 15) at a state. Only the
-components that were given have a row. Attitude noise is about the axes of n: R_true = exp(dtheta_n) R_measured.
+`evaluate(x, gyro_b)` gives nu (m,), H (m, 15), rows of given components only. Attitude noise about n: R_true = exp(dtheta_n)
+R_measured.
 """
 
 import math
@@ -29,7 +29,7 @@ DIRECTION_SCALE = np.array([1.0, 1.0, 1.0, RADIAN_M, RADIAN_M, RADIAN_M])  # D /
 
 
 class Measurement(Protocol):
-    """What the filter asks of a measurement."""
+    """Interface of a measurement."""
 
     @property
     def noise(self) -> Array:
@@ -37,17 +37,17 @@ class Measurement(Protocol):
 
     @property
     def rows(self) -> NDArray[np.intp]:
-        """Which components of the whole measurement were given, (m,)."""
+        """Given components of the whole measurement, (m,)."""
 
     def evaluate(self, x: Array, gyro_b: Array) -> tuple[Array, Array]:
-        """Innovation nu (m,) and Jacobian H (m, 15) at the nominal state x (16,); gyro_b: raw rate (3,), rad/s."""
+        """nu (m,) and H (m, 15) at the nominal state x (16,); gyro_b: raw rate (3,), rad/s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Position:
-    """z = p + R_nb l, of the given axes of n.
+    """z = p + R_nb l, of given axes of n.
 
-    z_n: (3,) m; noise: (m, m) m^2; rows: components of z_n that were given; lever_b: from the IMU to the measured point, m.
+    z_n: (3,) m; noise: (m, m) m^2; rows: given components; lever_b: IMU to the point, m.
     """
 
     z_n: Array
@@ -81,9 +81,9 @@ class Velocity:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose:
-    """Position and attitude of the body, of the components that were given.
+    """Position and attitude, given components.
 
-    rows: of (x y z rx ry rz); noise (m, m) in that order. Attitude is given whole, as roll and pitch, as yaw, or not at all.
+    rows: of (x y z rx ry rz); noise (m, m) in that order. Attitude: whole, roll and pitch, yaw, or none.
     """
 
     z_n: Array
@@ -104,21 +104,20 @@ class Pose:
 
 
 class Curved:
-    """A measurement that is not linear over what the filter leaves open."""
+    """A measurement nonlinear over the remaining uncertainty."""
 
     __slots__ = ()
 
     def bend(self, x: Array, cov: Array, nu: Array, h: Array, s: Array) -> Array:
-        """Covariance (m, m) of what the linear model leaves out, at the state x with P (n, n); nu, H and S of this reading."""
+        """Covariance (m, m) of nonlinear terms at x with P (n, n); nu, H, S of this reading."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PartialPose(Curved):
-    """r combinations of the position and attitude of the body, D (x_true (-) z) = y + v, metres; D (r, 6), y (r,), noise (r, r).
+    """r combinations of position and attitude, D (x_true (-) z) = y + v, metres; D (r, 6), y (r,), noise (r, r).
 
-    z_n, q_nb_wxyz: where the images were linearised; the truth may be as far from there as the filter's covariance says
-    afterwards.
+    z_n, q_nb_wxyz: linearisation of the images.
     """
 
     z_n: Array
@@ -140,15 +139,15 @@ class PartialPose(Curved):
     def bend(self, x: Array, cov: Array, nu: Array, h: Array, s: Array) -> Array:
         """See Curved.
 
-        Poses that look the same are x exp(t zeta): moved by d and turned by theta, of which d - theta x d / 2 is linear in t. So
-        D_p (theta x d) / 2 is left out; d and theta are what the truth may be off z, x (+) K nu (-) z and its covariance.
+        Poses that look the same are x exp(t zeta), of which d - theta x d / 2 is linear in t: D_p (theta x d) / 2 is left out; d,
+        theta: the truth off z, x (+) K nu (-) z with its covariance.
         """
         return _bend(x, cov, nu, h, s, self.z_n, self.q_nb_wxyz, self.directions)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Height:
-    """z = -p_d, metres above n's origin; noise (1, 1). What barometers and height above a datum give."""
+    """z = -p_d, metres above n's origin; noise (1, 1)."""
 
     z_m: float
     noise: Array
@@ -166,23 +165,21 @@ class Height:
 
 
 class Conditional:
-    """A measurement that makes sense at some states only."""
+    """A measurement valid at some states only."""
 
     __slots__ = ()
 
     def objection(self, x: Array) -> str:
-        """Why it is not to be used at the state x (16,); '' where it may be."""
+        """Why it is unusable at x (16,); '' if usable."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Heading(Conditional):
-    """alpha = atan2(d_e, d_n), d_n = R_nb d_b: the azimuth of a direction of the body is known; rad, noise (1, 1).
+    """alpha = atan2(d_e, d_n), d_n = R_nb d_b: azimuth of a body direction; rad, noise (1, 1).
 
-    direction_b: (3,), of any length: the magnetic field as it was measured, or the line from one antenna to another; elevation:
-    the angle at which it points above the horizon, +- elevation_within [rad], None: not known; is_steep: only a turn about the
-    vertical counts. A tilt moves the azimuth of a steep direction, too, but used, that would let a constant error of the reading
-    tilt a vehicle at rest.
+    direction_b: (3,) of any length (field, baseline); elevation: above the horizon, +- elevation_within [rad], None: unknown;
+    is_steep: only turns about the vertical count: through tilt a constant error would tilt a vehicle at rest.
     """
 
     direction_b: Array
@@ -198,7 +195,7 @@ class Heading(Conditional):
         return _FIRST
 
     def evaluate(self, x: Array, gyro_b: Array) -> tuple[Array, Array]:
-        """nu = wrap(alpha - atan2(d_e, d_n));  H_theta = (d_n e_e - d_e e_n)^T (-R [d_b]x) / (d_n^2 + d_e^2). See Measurement."""
+        """nu = wrap(alpha - atan2(d_e, d_n));  H_theta = (d_n e_e - d_e e_n)^T (-R [d_b]x) / (d_n^2 + d_e^2)."""
         nu, by_direction = self._off(x)
         h = np.zeros((1, _N))
         h[0, E.THETA] = by_direction @ -so3.skew(self.direction_b)
@@ -231,7 +228,7 @@ class Heading(Conditional):
 def _bend(x: Array, cov: Array, nu: Array, h: Array, s: Array, z: Array, q: Array, directions: Array) -> Array:
     """D_p E[c c^T] D_p^T / 4, c = theta x d, of (d, theta) ~ N(x (+) K nu (-) z, J P J^T - K S K^T).
 
-    J: how z (-) x depends on the error of x. With S = L L^T and B = L^-1 H P J^T: K S K^T = B^T B, K nu = B^T L^-1 nu.
+    J: z (-) x by the error of x. With S = L L^T, B = L^-1 H P J^T: K S K^T = B^T B, K nu = B^T L^-1 nu.
     """
     n, m = cov.shape[0], nu.shape[0]
     off, by_state = _pose(x, z, q)
@@ -270,7 +267,7 @@ def _bend(x: Array, cov: Array, nu: Array, h: Array, s: Array, z: Array, q: Arra
 
 @njit(cache=True, error_model="numpy")
 def _cross_moment(mean: Array, cov: Array) -> Array:
-    """E[c c^T], (3, 3), of c = t x d, (d, t) Gaussian with mean (6,), cov (6, 6): c_k = t_a d_b - t_b d_a, (k, a, b) cyclic."""
+    """E[c c^T], (3, 3), c = t x d, (d, t) ~ N(mean (6,), cov (6, 6)): c_k = t_a d_b - t_b d_a, (k, a, b) cyclic."""
     second, moment = np.empty((6, 6)), np.empty((3, 3))
     for i in range(6):
         for j in range(6):
@@ -288,7 +285,7 @@ def _cross_moment(mean: Array, cov: Array) -> Array:
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _fourth(m: Array, s: Array, a: int, b: int, c: int, e: int) -> float:
-    """E[t_a d_b t_c d_e] from the means and second moments of (d, t), by Isserlis' theorem."""
+    """E[t_a d_b t_c d_e] from means and second moments, by Isserlis' theorem."""
     paired: float = s[3 + a, b] * s[3 + c, e] + s[3 + a, 3 + c] * s[b, e] + s[3 + a, e] * s[3 + c, b]
     four: float = m[3 + a] * m[b] * m[3 + c] * m[e]
     return paired - 2.0 * four
@@ -345,7 +342,7 @@ def _pose(x: Array, z: Array, q: Array) -> tuple[Array, Array]:
 
 @njit(cache=True, error_model="numpy")
 def _pose_yaw(x: Array, z: Array, q: Array) -> tuple[Array, Array]:
-    """Yaw alone: nu = wrap(psi_z - psi), psi = atan2(R10, R00), in the place of rz; H from the first column of R turning."""
+    """Yaw alone: nu = wrap(psi_z - psi), psi = atan2(R10, R00), as rz; H from R's first column."""
     nu, h = _pose(x, z, q)
     r, m = so3.matrix(x[_XQ:_XG]), so3.matrix(q)
     difference = np.arctan2(m[1, 0], m[0, 0]) - np.arctan2(r[1, 0], r[0, 0])
@@ -359,7 +356,7 @@ def _pose_yaw(x: Array, z: Array, q: Array) -> tuple[Array, Array]:
 
 @njit(cache=True, error_model="numpy")
 def _pose_tilt(x: Array, z: Array, q: Array) -> tuple[Array, Array]:
-    """Roll and pitch alone: d = R R_z^T e_z is "down" as the fix saw it, turned by our attitude; nu = (d_y, -d_x).
+    """Roll and pitch alone: d = R R_z^T e_z; nu = (d_y, -d_x).
 
     H from d(exp(delta) d) = delta x d; rows x and y of R where the two agree.
     """
@@ -375,7 +372,7 @@ def _pose_tilt(x: Array, z: Array, q: Array) -> tuple[Array, Array]:
 
 @njit(cache=True, error_model="numpy")
 def innovation_covariance(cov: Array, h: Array, noise: Array) -> tuple[Array, Array]:
-    """S = H P H^T + R (m, m), exactly symmetric, and H P (m, n), of P (n, n) symmetric; most of H (m, n) is zero."""
+    """S = H P H^T + R (m, m), symmetric, and H P (m, n); H (m, n) is mostly zero."""
     m, n = h.shape
     s, hp = np.empty((m, m)), np.zeros((m, n))
     for i in range(m):
@@ -395,7 +392,7 @@ def innovation_covariance(cov: Array, h: Array, noise: Array) -> tuple[Array, Ar
 
 @njit(cache=True, error_model="numpy")
 def mahalanobis(nu: Array, s: Array) -> tuple[float, float]:
-    """(nu^T S^-1 nu, ln det S) by Cholesky; (inf, inf) where S is not positive definite."""
+    """(nu^T S^-1 nu, ln det S) by Cholesky; (inf, inf) unless positive definite."""
     m = nu.shape[0]
     low, y = np.empty((m, m)), np.empty((m, 1))
     if not cholesky.factor(s, low):

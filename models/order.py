@@ -1,4 +1,4 @@
-"""Median and quantiles for compiled code: one small sort, where numba's own are among the slowest functions to compile."""
+"""Median and quantiles for compiled code; numba's own compile slowly."""
 
 import numpy as np
 from numba import njit
@@ -9,7 +9,7 @@ from models.messages import Array
 
 @njit(cache=True)
 def sort(values: Array) -> None:
-    """Sort a few hundred values (N,) in place (Shell 1959; gaps: Gonnet 1984); NaN is not sorted."""
+    """Sort values (N,) in place (Shell 1959; gaps: Gonnet 1984); NaN unsorted."""
     gap = len(values) // 2
     while gap > 0:
         for i in range(gap, len(values)):
@@ -23,7 +23,7 @@ def sort(values: Array) -> None:
 
 @njit(cache=True)
 def ranked(values: Array) -> NDArray[np.int64]:
-    """Indices (N,) of the values in ascending order, equal ones in their own."""
+    """Stable ascending order (N,) of the values."""
     index, gap = np.arange(len(values)), len(values) // 2
     while gap > 0:
         for i in range(gap, len(values)):
@@ -41,7 +41,7 @@ def ranked(values: Array) -> NDArray[np.int64]:
 
 @njit(cache=True)
 def quantile(values: Array, share: float) -> float:
-    """What a share of the values (N,) is below, linear between them, as numpy.quantile; NaN of none, or of NaN."""
+    """Linear quantile of values (N,) as numpy.quantile; NaN of none, or of NaN."""
     n, total = len(values), 0.0
     for i in range(n):
         total += values[i]

@@ -1,9 +1,9 @@
-"""Relative pose: where the body is now, seen from where it was, against a pose that the filter has kept (a stochastic clone).
+"""Relative pose against a kept pose (stochastic clone).
 
     z_p = R_0^T (p_1 - p_0) + v_p,   z_R = R_0^T R_1 exp(v_theta),   v ~ N(0, R)
 
-The filter carries the error of the kept pose (dp_0, theta_0), R_0 = R_0,hat exp(theta_0), behind its own states, so the increment
-constrains the difference of two errors and says nothing of their common part. (Roumeliotis and Burdick 2002, Stochastic cloning.)
+The kept pose's error (dp_0, theta_0), R_0 = R_0,hat exp(theta_0), stands behind the state: the increment constrains the
+difference only. (Roumeliotis and Burdick 2002.)
 """
 
 from dataclasses import dataclass, replace
@@ -24,7 +24,7 @@ POSE_ERROR = np.r_[E.P, E.THETA]  # of the error state, what a clone of the pose
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelativePose:
-    """An increment (dp_b, dq); noise (m, m); rows (m,): what of (dp_b, theta) is given; origin: the kept pose p_n, q_nb, (7,)."""
+    """An increment (dp_b, dq); noise (m, m); rows (m,): given of (dp_b, theta); origin: kept p_n, q_nb (7,)."""
 
     dp_b: Array
     dq_wxyz: Array
@@ -42,7 +42,7 @@ class RelativePose:
         return (nu, h) if len(self.rows) == len(nu) else (nu[self.rows], h[self.rows])
 
     def by_origin(self, x: Array) -> Array:
-        """How the whole increment depends on the error (dp_0, theta_0) of the kept pose at the state x, (6, 6)."""
+        """Derivative of the increment by the kept pose's error (dp_0, theta_0) at x, (6, 6)."""
         _, _, by_origin = _relative(x, _HERE if self.origin is None else self.origin, self.dp_b, self.dq_wxyz)
         return by_origin
 
@@ -54,7 +54,7 @@ def pose_of(x: Array) -> Array:
 
 @njit(cache=True, error_model="numpy")
 def between(origin: Array, pose: Array) -> Array:
-    """(dp_b, dq) from one pose (7,) to another, both in one frame, (7,): R_0^T (p_1 - p_0), R_0^T R_1."""
+    """(dp_b, dq) between poses (7,) of one frame, (7,): R_0^T (p_1 - p_0), R_0^T R_1."""
     out, back = np.empty(7), so3.conjugate(origin[3:])
     dp = so3.applied(so3.matrix(back), pose[:3] - origin[:3])
     turn = so3.normalise(so3.multiply(back, pose[3:]))
@@ -67,7 +67,7 @@ def between(origin: Array, pose: Array) -> Array:
 
 @njit(cache=True, error_model="numpy")
 def moved(pose: Array, error: Array) -> tuple[Array, Array]:
-    """A kept pose (7,) corrected by its error (6,), p + dp, R exp(theta), and how the error theta is carried, I - [theta/2]x."""
+    """A kept pose (7,) corrected by its error (6,), p + dp, R exp(theta), and I - [theta/2]x of theta."""
     out, g = np.empty(7), so3.skew(error[3:])
     q = so3.normalise(so3.multiply(pose[3:], so3.quat_exp(error[3:])))
     for i in range(3):

@@ -1,23 +1,12 @@
-"""What an IMU leaves out between two samples, learnt from the samples themselves.
+"""What an IMU leaves out between samples, learnt from its samples (docs/estimator.md, section 2).
 
-Between samples the motion model draws a straight line. One line over two steps h instead of two changes the integral by
-h (x_0 - 2 x_1 + x_2) / 2. With lags T_j = 2^j h and running means of squared second differences,
-
-    m_j = E |x(t - T_j) - 2 x(t) + x(t + T_j)|^2 / 6,    D_j = T_j m_j
-
-m_j is the variance of white samples that differ so, and D_j the density of what they add to the integral, in rad^2/s or
-m^2/s^3. A gap is bridged by a line over n steps; what it leaves out has been measured where nothing was missing:
-
+    m_j = E |x(t - T_j) - 2 x(t) + x(t + T_j)|^2 / 6,    D_j = T_j m_j,    T_j = 2^j h
     E_j+1 = E_j + D_j                                    (E_j: of lines over T_j; between 2^j and 2^j+1 steps linear in n)
-
-What lines over single steps leave out, E_0, is what the rate does not resolve. The second difference of a motion that it
-resolves goes with T^2, so m_j = m + c T_j^4 and the rest, m, is in the samples as noise (Richardson's extrapolation, T -> 0):
-
     m = m_0 - (m_1 - m_0) / 15,    E_0 = (h m - q) s^2,    s = 2 m_1 / m_0 - 1, within 0 and 1
 
-q, the density of the sensor's own white noise, is process noise already. Where m_1 < m_0 it is no white noise: a vibration near
-half the rate, which a sensor that averages keeps out of the integral. At m_1 = m_0 / 2 the spectrum just ends there, and nothing
-is left. (That m goes down as s^2 in between was chosen by recordings of sensors that average.)
+m_j: variance of equivalent white samples; D_j: density added to the integral, rad^2/s or m^2/s^3; E_0: unresolved motion; m:
+noise (Richardson's extrapolation); q: the sensor's white density. m_1 < m_0: vibration near half the rate, which averaging
+sensors suppress.
 """
 
 import numpy as np
@@ -38,9 +27,9 @@ _GAP = 1.5  # steps
 
 @njit(cache=True, error_model="numpy")
 def learn(t_ns: NDArray[np.int64], u: Array, known: Array, begin: int, end: int) -> None:
-    """Fill known[begin:end] (capacity, SIZE): row i is what samples 0..i tell; t_ns (capacity,), u (capacity, 6).
+    """Fill known[begin:end] (capacity, SIZE): row i from samples 0..i; t_ns (capacity,), u (capacity, 6).
 
-    A row follows from the one before it and from samples no further back than twice the longest lag.
+    A row needs the one before and samples within twice the longest lag.
     """
     for i in range(begin, end):
         if i == 0:
@@ -85,7 +74,7 @@ def put(
 
 @njit(cache=True, error_model="numpy")
 def density(known: Array, sensor: int, span_s: float, psd: float) -> float:
-    """Density of what a line over span_s leaves out; known: (SIZE,), sensor: 0 gyroscope, 1 accelerometer, psd: its q."""
+    """Density left out by a line over span_s; known: (SIZE,), sensor: 0 gyroscope, 1 accelerometer, psd: q."""
     h, m = known[0], known[1 + LEVELS * sensor : 1 + LEVELS * (sensor + 1)]
     error = 0.0
     if h * m[0] > psd:

@@ -1,8 +1,8 @@
-"""Rotations: unit quaternions (Hamilton, wxyz) and rotation vectors, compiled so that the filter's kernels can call them.
+"""Unit quaternions (Hamilton, wxyz) and rotation vectors, compiled.
 
     exp: R^3 -> S^3, q = (cos |r|/2, r/|r| sin |r|/2);   R(q) x = q x q*        (Sola 2017, eq. 101, 115, 117)
 
-All arrays are float64 and C-contiguous; a new array is returned; nothing is checked (callers are compiled too).
+float64, C-contiguous; a new array is returned; nothing is checked.
 """
 
 import math
@@ -85,7 +85,7 @@ def matrix(q: Array) -> Array:
 
 @njit(cache=True, error_model="numpy")
 def from_matrix(m: Array) -> Array:
-    """Unit quaternion of a rotation matrix (3, 3), w >= 0 (Shepperd 1978: the largest of the four is computed first)."""
+    """Quaternion of a matrix (3, 3), w >= 0 (Shepperd 1978: largest first)."""
     trace = m[0, 0] + m[1, 1] + m[2, 2]
     q = np.empty(4)
     if trace > 0.0:
@@ -122,7 +122,7 @@ def skew(v: Array) -> Array:
 
 @njit(cache=True, error_model="numpy")
 def product(a: Array, b: Array) -> Array:
-    """a b of (3, 3) matrices: nine sums cost less than a call of the linear algebra library."""
+    """a b of (3, 3) matrices, cheaper than BLAS."""
     c = np.empty((3, 3))
     for i in range(3):
         for j in range(3):

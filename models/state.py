@@ -1,4 +1,4 @@
-"""The state table, written once: where each part stands in the packed nominal state (X) and in the error state (E).
+"""Indices of the packed nominal state (X) and the error state (E).
 
     x = (p_n, v_n, q_nb, b_g, b_a)                   16 numbers
     dx = (dp_n, dv_n, theta, db_g, db_a)             15 numbers
@@ -19,7 +19,7 @@ from models.messages import Array
 
 
 class X:
-    """Nominal state, packed: position n [m], velocity n [m/s], quaternion wxyz, gyro bias [rad/s], accel bias [m/s^2]."""
+    """Packed: position n [m], velocity n [m/s], quaternion wxyz, gyro bias [rad/s], accel bias [m/s^2]."""
 
     P = slice(0, 3)
     V = slice(3, 6)
@@ -43,7 +43,7 @@ class E:
 
 @dataclass(frozen=True, slots=True)
 class NavState:
-    """The nominal state as a person reads it. q_nb_wxyz takes body vectors to n: x_n = R_nb @ x_b."""
+    """The nominal state as a record; x_n = R_nb @ x_b."""
 
     p_n: Array
     v_n: Array
@@ -102,7 +102,7 @@ def local(x: Array, y: Array) -> Array:
 
 @njit(cache=True, error_model="numpy")
 def has_moved(dx: Array, cov: Array, sigmas: float) -> bool:
-    """Whether dx (15,) is a move of more than so many standard deviations of P (n, n); a bias that is corrected moves nothing."""
+    """Whether dx (15,) moves more than `sigmas` of P (n, n); biases do not count."""
     moved = False
     for i in range(_G):
         moved = moved or abs(dx[i]) > sigmas * math.sqrt(cov[i, i])
@@ -110,7 +110,7 @@ def has_moved(dx: Array, cov: Array, sigmas: float) -> bool:
 
 
 def carried(cov: Array, jacobian: Array) -> Array:
-    """Covariance about a state whose attitude differs: J P J^T; jacobian (3, 3): of the one attitude error by the other."""
+    """J P J^T about another attitude; jacobian (3, 3): of one attitude error by the other."""
     out = cov.copy()
     out[E.THETA, :] = jacobian @ out[E.THETA, :]
     out[:, E.THETA] = out[:, E.THETA] @ jacobian.T
@@ -119,9 +119,9 @@ def carried(cov: Array, jacobian: Array) -> Array:
 
 @njit(cache=True, error_model="numpy")
 def sound(x: Array, cov: Array) -> bool:
-    """Whether state and covariance may be published: every number finite, every variance positive (a considered one may be 0).
+    """Publishable: finite, variances positive (considered: >= 0).
 
-    A covariance that is not finite off its diagonal makes the next state so; the diagonal is what costs nothing to watch.
+    Only the diagonal is checked: it is cheap, and errors elsewhere reach the next state.
     """
     total = 0.0
     for i in range(x.shape[0]):

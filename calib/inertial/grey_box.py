@@ -1,11 +1,10 @@
-"""The filter inside the camera-IMU calibration: normalised innovations of board poses for given extrinsics (Hol 2010, ch. 5).
+"""Filter of the camera-IMU calibration: normalised innovations for given extrinsics (Hol 2010, ch. 5).
 
-State as in models/state.py, n = the board's corner, z down; motion by models/imu.py. An image measures the board in c,
+State as models/state.py, n = board corner, z down; an image measures the board in c:
 
     t_co = -R_cb (R_nb^T p_n + p_bc),   R_co = R_cb R_nb^T R_no
     r = (t - t_co, log(R R_co^T)),   dr = -R_cb R_nb^T dp,   dr = (-R_cb [R_nb^T p_n]x theta, -R_cb theta)
-
-and its normalised innovation is e = L^-1 r with L L^T = S = H P H^T + C. White, of unit variance, where the extrinsics are right.
+    e = L^-1 r,   L L^T = S = H P H^T + C
 """
 
 import numpy as np
@@ -27,10 +26,10 @@ def innovations(
     x: Array, P: Array, from_ns: int, t_ns: NDArray[np.int64], u: Array, shutter_ns: NDArray[np.int64],
     R_co: Array, t_co: Array, C: Array, R_no: Array, R_bc: Array, p_bc: Array, c: Array,
 ) -> Array:  # fmt: skip
-    """Normalised innovations (M, 6) of board poses R_co (M, 3, 3), t_co (M, 3), covariances C (M, 6, 6); NaN where it fails.
+    """Innovations (M, 6) of board poses R_co (M, 3, 3), t_co (M, 3), C (M, 6, 6); NaN on failure.
 
-    x (16,), P (15, 15): state at from_ns, changed in place; t_ns, u (K, 6): IMU samples; shutter_ns (M,) increasing, > from_ns;
-    R_no: board to n; R_bc, p_bc: camera on the body; c: models.imu.constants.
+    x (16,), P (15, 15): at from_ns, changed in place; t_ns, u (K, 6): IMU; shutter_ns (M,) increasing, > from_ns; R_no: board to
+    n; R_bc, p_bc: camera on body; c: models.imu.constants.
     """
     out = np.full((shutter_ns.shape[0], 6), np.nan)
     none, nothing = np.empty(0), np.empty((0, 0))

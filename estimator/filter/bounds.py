@@ -1,7 +1,6 @@
-"""Bounds on what is published: no vehicle of its kind is faster, higher or less certain of its position.
+"""Plausibility bounds of the published state, by kind of vehicle: speed, height, uncertainty.
 
-A state beyond them is a fault of the estimate: a wrong source was followed, or the state has diverged. It is not published; the
-estimator begins again.
+A state beyond them is not published, and the estimator begins again.
 """
 
 import math
@@ -66,9 +65,9 @@ class BoundsConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return _limits(self.vehicle, self.speed_m_s, self.lowest_m, self.highest_m)
 
     def violation(self, x: Array, cov: Array, origin_m: float) -> str:
-        """What of the state x (16,) and P (n, n) is out of bounds; '' where nothing is.
+        """What of x (16,) and P (n, n) is out of bounds; '' for nothing.
 
-        origin_m: ellipsoid height of n's origin (0 where it is unknown).
+        origin_m: ellipsoid height of n's origin, 0 where unknown.
         """
         fastest, lowest, highest = self.limits
         if is_within(x, cov, fastest, origin_m - highest, origin_m - lowest, self.sigma_m):  # nearly every call
@@ -95,7 +94,7 @@ _XP, _XV, _P, _T, _G = X.P.start, X.V.start, E.P.start, E.THETA.start, E.BG.star
 
 @njit(cache=True, error_model="numpy")
 def is_within(x: Array, cov: Array, fastest: float, least_down: float, most_down: float, sigma: float) -> bool:
-    """Whether nothing can be out of bounds: speed, down position and variances of position and of all of the attitude."""
+    """Sufficient test: speed, down position and variances of position and attitude are within bounds."""
     good = math.sqrt(x[_XV] ** 2 + x[_XV + 1] ** 2 + x[_XV + 2] ** 2) <= fastest and least_down <= x[_XP + 2] <= most_down
     for i in range(_P, _P + 3):
         good = good and cov[i, i] <= sigma**2

@@ -1,14 +1,9 @@
 """The error-state extended Kalman filter: propagate, innovation, update.
 
-A nominal state x runs through the nonlinear motion model; the filter estimates its error dx, which is injected and reset to
-zero after every update (Sola 2017, sec. 6):
+    x <- x (+) dx,   P <- G P G^T,   G_theta = I - [theta/2]x                         (Sola 2017, sec. 6, eq. 287)
 
-    x <- x (+) dx,   P <- G P G^T,   G_theta = I - [theta/2]x                                                     (eq. 287)
-
-P may carry, behind the 15 error states, slow errors: they repeat from fix to fix (map, rig, slow GNSS, zero of a barometer)
-and take part in S and in the correlations. Most are *considered*: never corrected (kalman.py).
-
-A pose may be kept (a stochastic clone): its error (dp, theta) is an estimated block of six, that of the state when it was kept.
+Behind the 15 error states P carries slow errors, which repeat from fix to fix, most of them *considered*: never corrected
+(kalman.py); and a kept pose (stochastic clone), an estimated block (dp, theta).
 """
 
 import math
@@ -36,7 +31,7 @@ _identity = cache(np.eye)
 
 
 class Innovation(NamedTuple):
-    """One measurement seen from one state: nu (m,), H and H P (m, n), R, f S (m, m), nu^T (f S)^-1 nu, ln det f S."""
+    """One measurement against one state: nu (m,), H and H P (m, n), R, f S (m, m), nu^T (f S)^-1 nu, ln det f S."""
 
     nu: Array
     h: Array
@@ -87,9 +82,9 @@ class Eskf:
         self.t_ns = to_ns
 
     def consider(self, block: str, covariance: Array, tau_s: float, walk: Array | None = None) -> None:
-        """From now on take the slow error `block` into account, if it is not known already.
+        """Consider the slow error `block`, unless it is known already.
 
-        covariance: (k, k), steady; with `walk` (k,), variance per second, that of the start of a random walk, which is estimated.
+        covariance: (k, k), steady; with `walk` (k,), variance per second: the start of an estimated random walk.
         """
         if block in self.slow.columns:
             return
@@ -103,7 +98,7 @@ class Eskf:
             self.slow = self.slow.also(block, walk, math.inf, estimated=True)
 
     def keep_pose(self, block: str) -> None:
-        """Clone the pose of now, in place of the one that was kept as `block`: P <- [I; J] P [I; J]^T, J picks (dp, theta)."""
+        """Clone the present pose in place of the kept `block`: P <- [I; J] P [I; J]^T, J picks (dp, theta)."""
         if block in self.slow.columns:
             self.forget(block)
         every = np.concatenate((np.arange(len(self.cov)), POSE_ERROR))
@@ -112,7 +107,7 @@ class Eskf:
         self.clones = {**self.clones, block: pose_of(self.x)}
 
     def zero(self, block: str, seen: Innovation) -> None:
-        """Where the first error s of an estimated block stands is unknown, and this reading z = h(x) + s + v gives it: s = nu,
+        """Set the unknown first error s of an estimated block by a reading z = h(x) + s + v: s = nu,
 
         ds = -(H dx + v),   cov(ds, dx) = -P H^T,   var(ds) = H P H^T + R               (H of all states but s itself)
         """
@@ -128,17 +123,13 @@ class Eskf:
         self.slow = self.slow.moved(by)
 
     def widen(self, factor: float) -> None:
-        """P_nn <- factor^2 P_nn: position, velocity and attitude have jumped, by an error that nothing else knows of.
+        """P_nn <- factor^2 P_nn: position, velocity and attitude have jumped by an independent error.
 
-        So what contradicts them moves the biases no more than before. Correlations scaled with P (D P D) would claim that the
-        jump is a multiple of the error that biases make, and one such update may move them by many of their sigmas.
-
-        A small-angle error state has no use for an attitude sigma beyond _WIDEST: the attitude is widened up to that by f_theta,
-        and what position and velocity are widened by more is independent of it:
+        Cross-covariances stay: D P D would move the biases by many sigmas. The attitude is widened up to _WIDEST, by f_theta:
 
             P_nn <- f_theta^2 P_nn + (f^2 - f_theta^2) blockdiag(P_pp,vv, 0)
 
-        Nobody knows whether a kept pose has jumped, too: none is left.
+        Kept poses go: they may have jumped, too.
         """
         for block in self.clones:
             self.forget(block)
@@ -149,7 +140,7 @@ class Eskf:
             self.cov[:_T, :_T] *= factor**2 / turned
 
     def change_imu(self, shift: Array, sigma: Array) -> None:
-        """Another IMU: b <- b + d, P_bb <- P_bb + diag(sigma^2); shift d, sigma: (6,), gyroscope then accelerometer."""
+        """Change the IMU: b <- b + d, P_bb <- P_bb + diag(sigma^2); shift d, sigma: (6,), gyroscope then accelerometer."""
         self.x[X.BG] += shift[:3]
         self.x[X.BA] += shift[3:]
         self.widen_biases(sigma)
@@ -169,7 +160,7 @@ class Eskf:
             self.clones = {name: pose for name, pose in self.clones.items() if name != block}
 
     def innovation(self, z: Measurement, gyro_b: Array, slow: Sequence[tuple[str, Array | None]] = ()) -> Innovation:
-        """z against the present state; slow: blocks that it carries, with d z / d s (m, k) of the whole measurement, None: I."""
+        """Innovation of z; slow: carried blocks with d z / d s (m, k) of the whole measurement, None: I."""
         nu, by_state = z.evaluate(self.x, gyro_b)
         m, noise = len(nu), z.noise
         h = np.zeros((m, len(self.cov)))
@@ -188,21 +179,20 @@ class Eskf:
         return Innovation(nu, h, hp, noise, s, distance2, logdet)
 
     def update(self, seen: Innovation) -> None:
-        """Fuse a measurement that has passed its gate."""
+        """Fuse a gated measurement."""
         dx = self.correct(seen)
         self.sound = inject(self.x, self.cov, dx)
         for block in self.clones:
             self._correct_pose(block)
 
     def cover(self, seen: Innovation) -> None:
-        """Fuse nothing, but cover what the measurement says: P <- P + d d^T, d = K nu of what is estimated."""
+        """Cover a measurement without fusing it: P <- P + d d^T, d = K nu of the estimated states."""
         f = self.variance_factor
         d = f * (seen.hp.T @ np.linalg.solve(seen.s, seen.nu))  # S here is f S
         d[E.SIZE :] *= self.slow.estimated
         self.cov += np.outer(d, d) / f
 
     def _correct_pose(self, block: str) -> None:
-        """Inject the error of a kept pose and reset it, as inject does for the state."""
         at = self.slow.columns[block]
         error = np.zeros(len(self.slow.mean))
         error[at.start - E.SIZE : at.stop - E.SIZE] = self.slow.mean[at.start - E.SIZE : at.stop - E.SIZE]
@@ -215,7 +205,7 @@ class Eskf:
         cholesky.symmetrise(self.cov)
 
     def correct(self, seen: Innovation) -> Array:
-        """Fuse a measurement into P and the slow errors; the error dx (15,) of the state, which is not moved yet."""
+        """Fuse into P and the slow errors; returns dx (15,), not injected yet."""
         dx = kalman.update(self.cov, seen.nu, seen.h, seen.hp, seen.noise, self.slow.estimated)
         if len(dx) > E.SIZE:
             self.slow = self.slow.moved(dx[E.SIZE :])
@@ -227,7 +217,7 @@ _T, _G, _N = E.THETA.start, E.BG.start, E.SIZE
 
 @njit(cache=True, error_model="numpy")
 def compare(nu: Array, cov: Array, h: Array, noise: Array, mean: Array) -> tuple[Array, Array, float, float]:
-    """H P, S, nu^T S^-1 nu and ln det S, after nu <- nu - H_s s, in place; s: mean (n - 15,) of the slow errors."""
+    """H P, S, nu^T S^-1 nu and ln det S, after nu <- nu - H_s s in place; s: mean (n - 15,) of the slow errors."""
     for i in range(nu.shape[0]):
         for k in range(mean.shape[0]):
             nu[i] -= h[i, _N + k] * mean[k]

@@ -9,10 +9,9 @@ from models.messages import Array, ImuSample
 
 
 class ImuBuffer:
-    """IMU samples in time order: t_ns (capacity,) int64 and u (capacity, 6) gyro, accel, of which the first `count` are valid.
+    """Samples in time order: t_ns (capacity,) int64, u (capacity, 6) gyro, accel, `count` valid.
 
-    known (capacity, sampling.SIZE): the time between samples as known from each sample and those before it; has_forgotten: there
-    were older ones.
+    known (capacity, sampling.SIZE): sampling interval; has_forgotten: older ones were dropped.
     """
 
     __slots__ = ("count", "has_forgotten", "known", "newest_ns", "previous_ns", "t_ns", "u")
@@ -26,9 +25,9 @@ class ImuBuffer:
         self.newest_ns = self.previous_ns = -(2**62)
 
     def insert(self, s: ImuSample) -> bool:
-        """Put a sample in its place; False where one of the same stamp stands there already and stays.
+        """Insert a sample; False where one of the same stamp stays.
 
-        Of two different samples of one stamp the smaller (as a tuple) stays, whichever came first.
+        Of two of one stamp the smaller (as a tuple) stays, whatever the order of arrival.
         """
         k = self.begin_next()
         end = k + 1
@@ -49,7 +48,7 @@ class ImuBuffer:
         return True
 
     def begin_next(self) -> int:
-        """Where a sample goes that is newer than all others."""
+        """Index of the next sample."""
         if self.count == len(self.t_ns):
             self._grow()
         return self.count
@@ -72,7 +71,7 @@ class ImuBuffer:
         return int(_later(self.t_ns, self.count, t_ns))
 
     def turned(self, q_nb_wxyz: Array, from_ns: int, to_ns: int) -> Array:
-        """The attitude of from_ns, turned on to to_ns: q <- q * exp(gyro dt), each raw sample for the time before it."""
+        """Attitude of from_ns turned on to to_ns: q <- q * exp(gyro dt), each raw sample for the time before it."""
         q, since_ns = q_nb_wxyz, from_ns
         for k in range(self.first_after(from_ns), min(self.first_after(to_ns) + 1, self.count)):
             until_ns = min(int(self.t_ns[k]), to_ns)
@@ -81,7 +80,7 @@ class ImuBuffer:
         return q
 
     def forget_before(self, t_ns: int) -> None:
-        """Drop samples older than t_ns, once they are half of all: to move the others costs as much as there are of them."""
+        """Drop samples older than t_ns, once they are half of all (amortised cost)."""
         if self.t_ns[(self.count - 1) // 2] >= t_ns:  # nearly every call
             return
         k = int(self.t_ns[: self.count].searchsorted(t_ns))

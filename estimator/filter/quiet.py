@@ -1,7 +1,6 @@
-"""The next IMU sample where nothing else happens: one compiled call a filter.
+"""Fast path: the next IMU sample where nothing else happens, one compiled call a filter.
 
-Nearly every message is one. What does not change from one to the next, weights, mode, limits, is worked out once, behind the
-last message of another kind; whatever happens ends it (History.quiet).
+Weights, mode and limits are computed once after the last other message; any event ends it (History.quiet).
 """
 
 import math
@@ -22,7 +21,7 @@ _N, _XN = E.SIZE, X.SIZE  # compiled code reads plain integers
 
 
 class Quiet:
-    """A tracker that stands at the newest sample and publishes, with nothing to process, for `left` samples and to until_ns."""
+    """A publishing tracker at the newest sample, nothing to process for `left` samples and until_ns."""
 
     __slots__ = (
         "_is_plain", "_late", "_lead", "_limits", "_others", "_root", "_share", "left", "mode", "samples", "tracker", "until_ns",
@@ -41,7 +40,7 @@ class Quiet:
         self._limits, self._is_plain, self._late = tracker.limits, tracker.shows_mixture, tracker.late_cov
 
     def take(self, sample: ImuSample) -> tuple[Array, Array] | None:
-        """Put the sample behind the others and go there: nav (16,) and covariance (15, 15) to publish; None: out of bounds."""
+        """Append the sample and propagate: nav (16,) and covariance (15, 15) to publish; None: out of bounds."""
         samples, lead, t_ns, slow = self.samples, self._lead, sample.t_ns, self._lead.slow
         index, nav, covariance = samples.begin_next(), np.empty(_XN), np.empty((_N, _N))
         buffer, read = (samples.t_ns, samples.u, samples.known), (*sample.gyro_b, *sample.accel_b)

@@ -1,23 +1,12 @@
-"""Protection levels by multiple-hypothesis solution separation: the bound that nominal errors and all faults together exceed
-with the risk that is allowed.
-
-Of fault modes i with probability p_i, in which the error of what is published is an offset b_i and a random part of sigma_i,
+"""Protection levels by multiple-hypothesis solution separation (docs/integrity.md; Blanch et al. 2015, eq. 28-30).
 
     sum_i p_i Q((PL - b_i) / sigma_i)  =  risk_per_hour  correlation_s / 3600
 
     vertical:    Q(z) = P(|x| > z) = erfc(z / sqrt 2)                      x ~ N(0, 1)
     horizontal:  Q(z) = P(|x| > z) = exp(-z^2 / 2)                         x ~ N(0, I_2), sigma_i^2 the larger eigenvalue
 
-with Q = 1 where PL < b_i, and where sigma_i is infinite: nothing bounds that fault. An hour holds 3600 / correlation_s
-independent errors, so the right side is the risk of one. (Blanch et al., Baseline advanced RAIM user algorithm, IEEE Trans.
-AES 51, 2015, eq. 28-30, with the separation measured in place of its threshold. For visual fixes: Li and Waslander,
-arXiv 1909.08537; for runway features: arXiv 2508.09732.)
-
-Errors have heavier tails than a Gaussian, so Q is that of two: of each hundred errors some are `tail_scale` times as large,
-
-    Q(z) = (1 - e) Q(z / c) + e Q(z / t),   e = tail_share, c = core_scale, t = tail_scale
-
-(overbounding by a Gaussian mixture; Gupta and Gao, NAVIGATION 68, 2021, navi.445, bound the error of a camera on a 3-D map so.)
+p_i, b_i, sigma_i: probability, offset, random error of fault i; Q = 1 where PL < b_i or sigma_i is infinite. Heavy tails (Gupta
+and Gao 2021): Q(z) = (1 - e) Q(z / c) + e Q(z / t), e = tail_share, c = core_scale, t = tail_scale.
 """
 
 import math
@@ -36,7 +25,7 @@ _HOUR_S: Final = 3600.0
 
 
 class Mode(NamedTuple):
-    """What may be wrong, seen along one direction: probability now, offset [m] and sigma [m] of the published error then."""
+    """A fault along one direction: probability, offset [m], sigma [m] of the published error."""
 
     name: str
     probability: float
@@ -79,9 +68,9 @@ def exceeded(modes: Sequence[Mode], level_m: float, tail: Tail, exceeds: Callabl
 
 
 def protection_levels(modes: Array, probabilities: Array, tail: Tail) -> tuple[list[float], list[float]]:
-    """HPL and VPL [m] at each probability (m,); inf where no distance is enough.
+    """HPL and VPL [m] at each probability (m,); inf where unbounded.
 
-    modes (n, 5): rows p, horizontal b and sigma, vertical b and sigma. Not below the exact solution, at most .002 of it above.
+    modes (n, 5): rows p, horizontal b and sigma, vertical b and sigma. At most .002 above the exact solution, never below.
     """
     h, v = _solutions(modes, probabilities, *tail).tolist()
     return h, v
@@ -96,9 +85,9 @@ def protection_level(modes: Sequence[Mode], probability: float, tail: Tail, exce
 
 @njit(cache=True, error_model="numpy")
 def _solutions(modes: Array, allowed: Array, core_scale: float, tail_scale: float, tail_share: float) -> Array:
-    """(2, m), in a bracket by regula falsi on the logarithm (Illinois rule; Dowell and Jarratt 1971).
+    """(2, m), by regula falsi on the logarithm (Illinois rule; Dowell and Jarratt 1971).
 
-    Its upper end comes from Q(z) <= exp(-(z / t)^2 / 2): each of n bounded modes gets an equal share of what the others leave.
+    Upper end from Q(z) <= exp(-(z / t)^2 / 2), an equal share for each of n bounded modes.
     """
     levels = np.empty((2, len(allowed)))
     for axis, k in np.ndindex(levels.shape):

@@ -1,4 +1,4 @@
-"""Pose fixes, from outside or from our own landmarks: position and attitude of the body on the map, whole or in part."""
+"""Pose fixes, external or of our landmarks: position and attitude, whole or in part."""
 
 import math
 from functools import cache, lru_cache
@@ -74,7 +74,7 @@ class PoseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LandmarkFixConfig(PoseConfig, frozen=True, forbid_unknown_fields=True):
-    """[landmark_fix]: our own fixes say which of their errors repeat."""
+    """[landmark_fix]: fixes that report their repeating errors."""
 
     tilt_deg: _Tilt = 0.0
     mount_deg: _Mount = 0.0
@@ -82,10 +82,9 @@ class LandmarkFixConfig(PoseConfig, frozen=True, forbid_unknown_fields=True):
 
 
 class Given(NamedTuple):
-    """What a fix gives of (x y z rx ry rz).
+    """Given components of a fix (x y z rx ry rz).
 
-    mask: (6,); rows: (m,) where it is true; attitude: None where no measurement is made of such a part; widths: m half widths of
-    the box in which a false reading is expected.
+    mask: (6,); rows: (m,) where true; attitude: None for an unusable part; widths: m half widths of the box of false readings.
     """
 
     mask: NDArray[np.bool_]
@@ -100,13 +99,13 @@ class Given(NamedTuple):
 
 
 def given_components(cov: Array) -> Given:
-    """What a fix of this covariance (6, 6) gives: a variance that is NaN, negative, >= 9e4 m^2 or >= 10 rad^2 is not given."""
+    """Components given by a covariance (6, 6): variance NaN, negative, >= 9e4 m^2 or >= 10 rad^2 is not given."""
     return _given(_bits(cov, 0.0))
 
 
 @njit(cache=True, error_model="numpy")
 def _bits(cov: Array, least: float) -> int:
-    """Bit i: the variance of component i is not below the least and not so large that it says "not given"."""
+    """Bit i: variance i is neither below the least nor "not given"."""
     bits = 0
     for i in range(min(_SIX, cov.shape[0])):
         if least <= cov[i, i] < (_NOT_GIVEN_M2 if i < _XYZ else _NOT_GIVEN_RAD2):
@@ -169,7 +168,7 @@ def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
 
 
 def _is_forgotten(q: Quat, covariance: Array) -> bool:
-    """An attitude without accuracy that is exactly that of a message nobody filled in: none, or along the axes of n or map."""
+    """An attitude without accuracy as in an unfilled message: none, or along n or map."""
     if covariance[_XYZ, _XYZ]:  # nearly every call
         return False
     return not covariance[_XYZ:, _XYZ:].any() and any(math.dist(q, blank) < _ROUNDING for blank in _BLANK)
@@ -177,12 +176,11 @@ def _is_forgotten(q: Quat, covariance: Array) -> bool:
 
 @cache
 def _default_sigmas(position_m: float, attitude_deg: float) -> Array:
-    """(6,) m and rad."""
     return np.array([position_m] * _XYZ + [math.radians(attitude_deg)] * _XYZ)
 
 
 def pose_of(fix: PoseFix | LandmarkFix, given: Given) -> tuple[Array, Array] | Refusal:
-    """Position and unit quaternion of a fix, zero and identity where they are not given."""
+    """Position and quaternion of a fix, zero and identity where not given."""
     q = fix.q_nb_wxyz if given.attitude != "none" else _LEVEL
     p_n = [value if is_given else 0.0 for value, is_given in zip(fix.p_n, given.mask.tolist()[:_XYZ], strict=True)]
     if not all(map(math.isfinite, (*p_n, *q))):
@@ -196,9 +194,9 @@ def pose_of(fix: PoseFix | LandmarkFix, given: Given) -> tuple[Array, Array] | R
 
 
 def slow_errors_of(fix: PoseFix | LandmarkFix, given: Given, config: PoseConfig) -> tuple[SlowError, ...] | Refusal:
-    """Systematic errors: of each landmark and of the rig, where a fix separates them; else all of it as one, the topic's own.
+    """Systematic errors: of each landmark and the rig, where separated; else all as the topic's own.
 
-    Each is a vector of variance 1 that stays, and the fix says how it is moved by it: L s, L L^T the covariance that it reports.
+    Vectors s of variance 1 that last; the pose moves by L s, L L^T the reported covariance.
     """
     common = fix.covariance_common
     if common is None:
@@ -228,14 +226,13 @@ def slow_errors_of(fix: PoseFix | LandmarkFix, given: Given, config: PoseConfig)
 
 
 def _largest(errors: Array) -> Array:
-    """The largest magnitude in each errors[j] of (m, 6, k), inf where one is not finite; (m,)."""
+    """Largest magnitude in each errors[j] of (m, 6, k), inf where not finite; (m,)."""
     largest = np.abs(errors).max(axis=(1, 2), initial=0.0)
     return np.where(np.isfinite(largest), largest, math.inf)
 
 
 @lru_cache(maxsize=64)
 def _misaligned(topic: str, tilt_deg: float, mount_deg: float) -> tuple[SlowError, ...]:
-    """The frame of the fixes is tilted about both horizontal axes, and their axes on the body are turned against the IMU's."""
     turns = np.eye(6)[:, 3:]
     tilt = _steady(f"{topic}.tilt", turns[:, :2] * math.radians(tilt_deg))
     mount = _on_the_body(f"{topic}.mount", turns * math.radians(mount_deg))
@@ -243,22 +240,21 @@ def _misaligned(topic: str, tilt_deg: float, mount_deg: float) -> tuple[SlowErro
 
 
 def _steady(block: str, moved: Array) -> SlowError:
-    """k errors of variance 1 that move the pose by `moved` (6, k)."""
     return SlowError(block, _unit(moved.shape[1]), math.inf, moved)
 
 
 def lasting(topic: str, covariance: Array, config: PoseConfig) -> SlowError:
-    """Six errors that the next fix still has: light and texture of the same edges; covariance (6, 6): the fix's own."""
+    """Six errors that the next fix shares (light, texture); covariance (6, 6): the fix's."""
     return SlowError(f"{topic}.look", _unit(_SIX), config.lasting_s, symmetric_root(covariance * config.lasting_share)[0])
 
 
 def _on_the_body(block: str, moved: Array) -> SlowError:
-    """k errors of variance 1 of what is mounted on the body, which turn with it: by T moved (6, k), T = diag(R, R)."""
+    """k body-fixed errors of variance 1: T moved (6, k), T = diag(R, R)."""
     return SlowError(block, _unit(moved.shape[1]), math.inf, lambda x: _turned(x[X.Q], moved))
 
 
 def _turned_back(q: Array, root: Array) -> Array:
-    """T^T L T (6, 6), T = diag(R, R), of a symmetric L that was reported at the attitude R."""
+    """T^T L T (6, 6), T = diag(R, R), of a symmetric L reported at attitude R."""
     back = so3.conjugate(q)
     return _turned(back, _turned(back, root).T.copy())
 
@@ -275,9 +271,9 @@ def _turned(q: Array, m: Array) -> Array:
 
 
 def symmetric_root(covariance: Array) -> tuple[Array, float]:
-    """L = V sqrt(D) V^T, L L^T = C = V D V^T (k, k), and the largest variance, nan where C is no covariance (NaN, negative).
+    """L = V sqrt(D) V^T, L L^T = C = V D V^T (k, k), and the largest variance, nan for an invalid C.
 
-    Unlike Cholesky's it changes little when C does, and C may be singular.
+    Unlike Cholesky's it is continuous in C, which may be singular.
     """
     if not np.isfinite(covariance).all():
         return np.zeros_like(covariance), math.nan

@@ -1,7 +1,7 @@
-"""The two messages that come and go at IMU rate, packed by hand: Imu in, Odometry out. All others go through rosbags.
+"""Messages at IMU rate packed by hand: Imu in, Odometry out.
 
-CDR (XCDR1, little endian) of both: 4 bytes of encapsulation, stamp (int32 s, uint32 ns), frame_id (uint32 length with the
-closing zero, characters), then doubles, aligned to 8 bytes counted from behind the encapsulation.
+CDR (XCDR1, little endian): 4 bytes of encapsulation, stamp (int32 s, uint32 ns), frame_id (uint32 length with closing zero,
+characters), doubles aligned to 8 bytes from behind the encapsulation.
 """
 
 import struct
@@ -41,9 +41,9 @@ _BLOCKS: Final = (  # of pose (from 7 on) and twist (from 49 on): row, column, w
 
 
 def imu(data: bytes) -> tuple[int, Vec3, Vec3] | None:
-    """(t_ns, angular velocity, linear acceleration) of a sensor_msgs/msg/Imu in its own axes.
+    """(t_ns, angular velocity, linear acceleration) of a sensor_msgs/msg/Imu, own axes.
 
-    None where the bytes are not laid out exactly as expected; the general decoder then says what is wrong, if anything.
+    None for another layout: the general decoder decides.
     """
     if len(data) < _IMU_HEAD.size:
         return None
@@ -56,7 +56,7 @@ def imu(data: bytes) -> tuple[int, Vec3, Vec3] | None:
 
 
 def odometry(t_ns: int, values: Array) -> bytes:
-    """A nav_msgs/msg/Odometry from map to base_link; values (85,): p xyz, q xyzw, covariance 36, v, w, covariance 36."""
+    """nav_msgs/msg/Odometry, map to base_link; values (85,): p xyz, q xyzw, covariance 36, v, w, covariance 36."""
     sec, nanosec = divmod(t_ns, 1_000_000_000)
     return _ODOMETRY_HEAD.pack(b"\0\1\0\0", sec, nanosec, 4, b"map\0", 10, b"base_link\0") + values.tobytes()
 
@@ -68,8 +68,8 @@ def odometry_values(nav: Array, covariance: Array, gx: float, gy: float, gz: flo
         pose error in map        dp_m = T dp_n,        dtheta_m = T R_nb theta                         T: NED -> ENU
         twist error in base_link dv_f = F (R_nb^T dv_n + [v_b]x theta),  dw_f = -F db_g                F: FRD -> FLU
 
-    theta: local attitude error, R_true = R_nb exp(theta), so v_b,true = exp(-theta) R_nb^T v_n,true (Sola 2017, table 4).
-    The gyro's own noise is not part of the angular rate's covariance: only the bias is estimated.
+    theta: local attitude error, R_true = R_nb exp(theta), so v_b,true = exp(-theta) R_nb^T v_n,true (Sola 2017, table 4). The
+    rate's covariance is that of the bias, without gyro noise.
     """
     out = np.zeros(_ODOMETRY_SIZE)
     q = nav[_XQ : _XQ + 4]

@@ -1,7 +1,6 @@
-"""The map: landmarks known by description, and where each stands.
+"""The map: landmarks by description and position.
 
-A landmark is an upright prism: a flat roof of known outline over flat ground; height 0 is painted on the ground. The map keeps
-them as columns and makes Landmark objects only of those asked for, so a million cost a frame what a hundred do.
+A landmark is an upright prism over flat ground; height 0: painted. Stored as columns, objects are made on demand.
 """
 
 import math
@@ -27,13 +26,11 @@ __all__ = ["WEIGHTS", "Columns", "Landmark", "LandmarkMap"]
 
 
 class Landmark(msgspec.Struct, frozen=True, eq=False):
-    """One landmark; lengths in metres, n = local NED at the map's origin.
+    """One landmark; metres, n at the map's origin.
 
-    outline_n: (K, 2) north, east of the roof's edge, anticlockwise seen from above, not closed; base_d: down of the ground;
-    height_m: roof above ground. sigma_m: horizontal, of the whole landmark, per axis; outline_sigma_m: by how much the whole
-    outline may be larger (footprint to eave); corner_sigma_m: by how much each corner may lie elsewhere by itself,
-    per axis. weights: of size, width, length and fill ratio in the similarity.
-    orientation_rad: long side of the least rectangle, from north to east, 0..pi.
+    outline_n: (K, 2) north, east of the roof's edge, anticlockwise from above, open; base_d: down of the ground; height_m: roof
+    above it. sigma_m: horizontal, per axis; outline_sigma_m: growth of the outline; corner_sigma_m: of each corner, per axis.
+    weights: of size, width, length, fill ratio. orientation_rad: long side, north to east, 0..pi.
     """
 
     id: str
@@ -69,7 +66,7 @@ class Landmark(msgspec.Struct, frozen=True, eq=False):
         name: str = "",
         corner_sigma_m: float = 0.0,
     ) -> Self:
-        """A landmark with its description computed; the outline may run either way. Raises ValueError where it has no area."""
+        """A landmark with computed description; either orientation. Raises ValueError without area."""
         outline = np.array(outline_n, dtype=np.float64)
         if outline.ndim != 2 or outline.shape[1] != 2 or len(outline) < 3 or not np.isfinite(outline).all():
             raise ValueError(f"landmark {id}: outline must be (K, 2) with K >= 3 and finite")
@@ -91,16 +88,15 @@ class Landmark(msgspec.Struct, frozen=True, eq=False):
 
     @property
     def label(self) -> str:
-        """What a person reads."""
+        """Name for people."""
         return self.name or self.id
 
 
 class LandmarkMap:
     """Landmarks around an origin (lat_deg, lon_deg, alt_m above the ellipsoid), with a spatial index.
 
-    report: what was found while reading the file it comes from; common_sigma_m: by how much all of it may be shifted, horizontal
-    and vertical standard deviation, beside what each landmark says of itself; automatic: picked from images by a program and
-    checked by nobody, so that one of its landmarks alone founds no fix.
+    report: of the file; common_sigma_m: shift of all, horizontal and vertical; automatic: unchecked, so one landmark alone gives
+    no fix.
     """
 
     def __init__(
@@ -146,11 +142,11 @@ class LandmarkMap:
 
     @classmethod
     def from_geojson(cls, data: bytes, defaults: Defaults | None = None) -> Self:
-        """The map of a GeoJSON file, ours or anybody's (docs/map.md); bad features are in `report`. Raises MapError."""
+        """The map of any GeoJSON (docs/map.md); bad features go into `report`. Raises MapError."""
         return cls(*geojson.read(data, defaults or Defaults()))
 
     def to_geojson(self, alike: Alike | None = None) -> bytes:
-        """The file, with the description of each landmark written in, and what looks like it, where that is given."""
+        """The file, with descriptions, and ambiguity where given."""
         return geojson.write(self.origin, self.columns, self.description, self.common_sigma_m, self.automatic, alike)
 
     def __len__(self) -> int:
@@ -176,7 +172,7 @@ class LandmarkMap:
         return {name: i for i, name in enumerate(self.columns.ids)}
 
     def near(self, north_m: float, east_m: float, radius_m: float) -> list[Landmark]:
-        """Landmarks whose bounding circle (about the centroid) reaches into the circle around a place, nearest centre first."""
+        """Landmarks whose bounding circle meets the circle, nearest first."""
         return self._landmarks(self.rows_near(north_m, east_m, radius_m))
 
     def rows_near(self, north_m: float, east_m: float, radius_m: float) -> NDArray[np.int64]:
@@ -184,11 +180,10 @@ class LandmarkMap:
         return self._index.near(north_m, east_m, radius_m)
 
     def nested(self) -> NDArray[np.int64]:
-        """Pairs (P, 2) of rows, larger and smaller: the centroid of the second lies inside the outline of the first."""
+        """Pairs (P, 2), larger and smaller: centroid of the second inside the first."""
         return self._index.nested(self.columns.vertices, self.columns.offsets)
 
     def _landmarks(self, rows: NDArray[np.int64]) -> list[Landmark]:
-        """Landmark objects of these rows; columns are turned into Python numbers together, which is what takes the time."""
         c = self.columns
         numbers = np.column_stack(
             (
@@ -217,7 +212,7 @@ class LandmarkMap:
 
 
 class _Grid:
-    """Centroids in square cells, sorted by cell, so a row of cells is one slice; landmarks larger than a cell stand apart."""
+    """Centroids sorted by square cell; landmarks larger than a cell apart."""
 
     def __init__(self, description: Array) -> None:
         circles = np.ascontiguousarray(description[:, [polygon.NORTH, polygon.EAST, polygon.RADIUS]])
@@ -246,7 +241,7 @@ def _near(
     north: float, east: float, radius: float, circles: Array, low: Array, cell: float, shape: NDArray[np.int64],
     starts: NDArray[np.int64], order: NDArray[np.int64], large: NDArray[np.int64],
 ) -> NDArray[np.int64]:  # fmt: skip
-    """Rows of the circles (north, east, radius) that meet the circle, by distance of the centre."""
+    """Rows of circles (north, east, radius) that meet the circle, by distance."""
     found, distance, count = np.empty(16, np.int64), np.empty(16), int(np.int64(0))
     if not (math.isfinite(north) and math.isfinite(east) and radius >= 0.0):
         return found[:0]
@@ -271,7 +266,6 @@ def _near(
 def _met(
     i: int, north: float, east: float, radius: float, circles: Array, found: NDArray[np.int64], distance: Array, count: int
 ) -> tuple[NDArray[np.int64], Array, int]:
-    """The tables with circle i and the distance of its centre, if it meets the circle; grown if need be."""
     d = math.hypot(circles[i, 0] - north, circles[i, 1] - east)
     if not d <= radius + circles[i, 2]:
         return found, distance, count

@@ -1,7 +1,6 @@
-"""Polygons on the ground plane: cleaning, self-crossing, and the description a landmark is recognised by.
+"""Polygons on the ground: cleaning, self-crossing, description.
 
-An outline is (K, 2), north and east [m], anticlockwise seen from above, not closed. Many outlines stand one after the other in
-one vertex array; outline i is vertices[offsets[i] : offsets[i + 1]].
+An outline is (K, 2) north, east [m], anticlockwise from above, open; outline i is vertices[offsets[i] : offsets[i + 1]].
 
     size = 1/2 sum (e_k n_k+1 - e_k+1 n_k)                                             (shoelace; > 0 anticlockwise)
     width <= length: sides of the rectangle of least area around the outline; one of its sides lies on a side of the convex
@@ -23,7 +22,7 @@ SIZE, WIDTH, LENGTH, FILL, ORIENTATION, NORTH, EAST, RADIUS = range(8)  # column
 
 @njit(cache=True)
 def area(outline: Array) -> float:
-    """Signed size [m^2] of an outline (K, 2), positive if it runs anticlockwise seen from above."""
+    """Signed size [m^2] of an outline (K, 2), positive if anticlockwise from above."""
     twice = 0.0
     n0, e0 = outline[0]
     for k in range(1, len(outline) - 1):
@@ -33,10 +32,9 @@ def area(outline: Array) -> float:
 
 @njit(cache=True)
 def clean(outline: Array, tolerance_m: float) -> Array:
-    """The outline without corners that are none: doubled, in line with their neighbours, tips of spikes.
+    """The outline without doubled, collinear or spike corners.
 
-    A corner goes if the triangle with its neighbours is thinner than tolerance_m; never two side by side in one round, so a
-    finely drawn circle stays one.
+    A corner goes if its triangle is thinner than tolerance_m; never two neighbours in a round.
     """
     while len(outline) > 3:
         kept = np.empty_like(outline)
@@ -59,7 +57,6 @@ def clean(outline: Array, tolerance_m: float) -> Array:
 
 @njit(cache=True)
 def _side(a: Array, b: Array, c: Array) -> float:
-    """Twice the signed area of the triangle a b c."""
     twice: float = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
     return twice
 
@@ -119,7 +116,7 @@ def _hull(points: Array) -> Array:
 
 @njit(cache=True)
 def _rectangle(outline: Array) -> tuple[float, float, float]:
-    """Width, length [m] and orientation of the long side [rad, 0..pi from north to east] of the least-area rectangle."""
+    """Width, length [m], long side's orientation [rad, 0..pi north to east] of the least-area rectangle."""
     hull = _hull(outline)
     best, width, length, orientation = np.inf, 0.0, 0.0, 0.0
     for k in range(len(hull)):
@@ -143,7 +140,7 @@ def _rectangle(outline: Array) -> tuple[float, float, float]:
 
 @njit(cache=True)
 def describe(vertices: Array, offsets: NDArray[np.int64]) -> Array:
-    """(N, 8) per outline: size, width, length, fill ratio, orientation, centroid north and east, radius about the centroid."""
+    """(N, 8): size, width, length, fill ratio, orientation, centroid north, east, radius about it."""
     table = np.zeros((len(offsets) - 1, 8))
     for i in range(len(offsets) - 1):
         outline = vertices[offsets[i] : offsets[i + 1]]
@@ -191,7 +188,7 @@ GOOD, FEW, SMALL, MANY, CROSSED = range(5)  # verdicts of repair
 def repair(
     vertices: Array, offsets: NDArray[np.int64], tolerance_m: float, min_m2: float, max_corners: int
 ) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
-    """Cleaned, anticlockwise outlines (vertices, offsets), empty where the verdict (N,) is not GOOD."""
+    """Cleaned, anticlockwise outlines (vertices, offsets), empty unless the verdict (N,) is GOOD."""
     kept, ends = np.empty_like(vertices), np.zeros_like(offsets)
     verdicts = np.empty(len(offsets) - 1, np.int64)
     for i in range(len(verdicts)):

@@ -1,13 +1,10 @@
-"""The posterior Cramer-Rao bound: the covariance that no unbiased estimator of this flight can beat.
+"""The posterior Cramer-Rao bound of a flight along the *true* trajectory, independent of the filter's kernels, which it judges.
 
-    P_{k+1} = F_k P_k F_k^T + Q_k,      P <- (P^-1 + H^T R^-1 H)^-1 at a measurement           (Tichavsky 1998, eq. 21, 34)
+P_{k+1} = F_k P_k F_k^T + Q_k,      P <- (P^-1 + H^T R^-1 H)^-1 at a measurement           (Tichavsky 1998, eq. 21, 34)
 
-evaluated along the *true* trajectory; the motion's noise enters with the IMU, so F does not depend on it. Written from first
-principles and independently of the filter's kernels (models/imu.py), against which it is the judge. Error state: models.state.E.
-
-    dp' = dv                                       R theta: local attitude error, R_true = R_hat exp(theta)
-    dv' = -R [f]x theta - R db_a - 2 w_ie x dv + G dp - R n_a
-    theta' = -[omega]x theta - db_g - n_g,         db_g' = n_wg,   db_a' = n_wa
+dp' = dv                                       R theta: local attitude error, R_true = R_hat exp(theta)
+dv' = -R [f]x theta - R db_a - 2 w_ie x dv + G dp - R n_a
+theta' = -[omega]x theta - db_g - n_g,         db_g' = n_wg,   db_a' = n_wa
 """
 
 from collections.abc import Sequence
@@ -32,7 +29,7 @@ _P, _V, _THETA, _BG, _BA, _SIZE = E.P.start, E.V.start, E.THETA.start, E.BG.star
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """z = h(x) + noise of covariance R (m, m), linear in the error state: H (m, 15)."""
+    """z = h(x) + noise R (m, m), H (m, 15)."""
 
     t_ns: int
     H: Array
@@ -40,7 +37,7 @@ class Linear:
 
 
 def linearise(message: Input, truth: Truth, antenna_b_m: Sequence[float] = (0.0, 0.0, 0.0)) -> Linear | None:
-    """The measurement that a message is, at the true state of its time; None for what is no aid.
+    """A message as a measurement at the true state; None if no aid.
 
     position of the antenna:  H = [I, 0, -R [l]x, 0, 0]           velocity:  H = [0, I, -R [omega x l]x, R [l]x, 0]
     pose fix:                 H = [I, 0, 0, 0, 0; 0, 0, R, 0, 0]     (attitude error about the axes of n)
@@ -67,9 +64,9 @@ def linearise(message: Input, truth: Truth, antenna_b_m: Sequence[float] = (0.0,
 def posterior_bound(
     truth: Truth, noise: ImuNoise, measurements: Sequence[Linear], P0: Array, at_ns: Sequence[int], origin: Origin | None
 ) -> Array:
-    """The bound at the instants at_ns (n, 15, 15), every measurement of t <= at_ns used; P0 (15, 15) holds at truth.t_ns[0].
+    """The bound at at_ns (n, 15, 15) by measurements up to then; P0 (15, 15) at truth.t_ns[0].
 
-    Measurements outside the truth are left out. Raises ValueError for instants outside it.
+    Raises ValueError for instants outside the truth.
     """
     first, last = int(truth.t_ns[0]), int(truth.t_ns[-1])
     if any(not first <= t <= last for t in at_ns):
@@ -96,7 +93,6 @@ def posterior_bound(
 
 
 def _on_grid(truth: Truth, grid_ns: NDArray[np.int64]) -> tuple[Array, Array, Array]:
-    """R_nb, gyro_b, accel_b at the grid: rates linear between samples, attitude turned on by the rate from the sample before."""
     k = np.searchsorted(truth.t_ns, grid_ns, side="right") - 1
     since_s = np.asarray((grid_ns - truth.t_ns[k]) * 1e-9)
     R_nb = truth.R_nb[k].copy()
@@ -118,7 +114,7 @@ def _inform(P: Array, H: Array, R: Array) -> Array:
 
 @njit(cache=True)
 def _dynamics(R_nb: Array, gyro_b: Array, accel_b: Array, earth_rate: Array, gradient: float) -> Array:
-    """A (15, 15) of dx' = A dx + noise. Gravity falls off upwards and turns sideways: G = g/r diag(-1, -1, 2)."""
+    """A (15, 15) of dx' = A dx + noise; G = g/r diag(-1, -1, 2)."""
     A = np.zeros((_SIZE, _SIZE))
     coriolis = -2.0 * so3.skew(earth_rate)
     tilt = -R_nb @ so3.skew(accel_b)
@@ -148,10 +144,7 @@ def _propagate(
     gradient: float,
     Qc: Array,
 ) -> Array:
-    """P from grid point first to last; F = exp(A dt) to second order with A of the step's middle, Q by the trapezoid rule.
-
-    The noise is isotropic in each triad, so that turning it from b to n changes nothing.
-    """
+    """P from grid point first to last; F = exp(A dt) to second order, Q by trapezoids; isotropic noise."""
     for k in range(first, last):
         dt = dts[k]
         R_mid = 0.5 * (R_nb[k] + R_nb[k + 1])

@@ -1,4 +1,4 @@
-"""True motion of a multirotor and of a fixed wing: smooth, of any length, every derivative in closed form.
+"""Smooth true motion of a multirotor or fixed wing, derivatives in closed form.
 
     p_n(t) = sum_i c_i B_i(t)        degree 7 B-spline, so v, a, jerk, angular rate and angular acceleration are all continuous
     multirotor:  z_b = -f/|f|,  f = a_n - g_n + k u (thrust, less the drag);  y_b ~ z_b x heading;  x_b = y_b x z_b
@@ -6,8 +6,7 @@
     u = v - w                                                            velocity through the air, of which w is the wind
     omega_b = (z.y', x.z', y.x')                                                     of the axes' own derivatives
 
-The control points c_i are samples of a path of straight legs (or arcs); the spline stays in their convex hull, so speeds
-are never exceeded and corners become manoeuvres. Source: Mellinger & Kumar 2011 (flat outputs of a multirotor), section IV.
+c_i sample straight legs or arcs; the convex hull bounds speeds. (Mellinger & Kumar 2011, section IV.)
 """
 
 import math
@@ -35,12 +34,10 @@ Waypoint: TypeAlias = tuple[float, float, float, float, float]  # t, north, east
 
 
 class Multirotor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind", tag="multirotor"):
-    """Take-off, then legs between random places and hovers, yaw independent of course; starts on the origin, at rest.
+    """Take-off, legs between random positions, hovers, independent yaw; starts on the origin at rest.
 
-    speed_m_s: fastest leg; climb_m_s: fastest climb; area_m: side of the square flown in; height_m: mean height above the
-    origin; hover_share: share of legs that are hovers; lands: the flight ends on the origin, at rest; seed: fixes the course, so
-    that runs differ by their noise only; visits: (t s, north m, east m), where the first leg that begins after t leads, at
-    speed_m_s; drag_1_s: drag of its rotors, force per mass and velocity through the air.
+    speed_m_s, climb_m_s: fastest; area_m: side; height_m: mean above the origin; hover_share: of legs; lands: ends on the origin;
+    seed: fixes the course; visits: (t s, north m, east m) of legs beginning after t; drag_1_s: force per mass and airspeed.
     """
 
     speed_m_s: Positive = 8.0
@@ -55,10 +52,10 @@ class Multirotor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class FixedWing(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind", tag="fixed_wing"):
-    """Straight flight, coordinated turns and climbs, kept within an area; starts in flight over the origin.
+    """Straight flight, coordinated turns, climbs within an area; starts in flight over the origin.
 
-    speed_m_s: slowest and fastest; bank_deg: steepest turn; climb_m_s: fastest climb; area_m: side of the square beyond which
-    turns lead home; height_m: mean height above the origin; seed: fixes the course.
+    speed_m_s: slowest, fastest; bank_deg: steepest; climb_m_s: fastest; area_m: side beyond which it turns home; height_m: mean;
+    seed: fixes the course.
     """
 
     speed_m_s: tuple[Positive, Positive] = (16.0, 24.0)
@@ -74,7 +71,7 @@ class FixedWing(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """True motion at n instants: p_n, v_n, a_n (n, 3), R_nb (n, 3, 3), q_nb_wxyz (n, 4), omega_b (n, 3); SI, body against n."""
+    """Motion at n instants: p_n, v_n, a_n (n, 3), R_nb (n, 3, 3), q_nb_wxyz (n, 4), omega_b (n, 3); SI."""
 
     p_n: Array
     v_n: Array
@@ -86,9 +83,9 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """A path, and either a yaw of its own (multirotor) or none (fixed wing: the nose follows the path).
+    """A path with own yaw (multirotor) or none (fixed wing).
 
-    air: in which it flies; drag_1_s: of a multirotor, force per mass and velocity through the air.
+    air: wind; drag_1_s: of a multirotor.
     """
 
     path: BSpline
@@ -98,7 +95,7 @@ class Trajectory:
     drag_1_s: float = 0.0
 
     def at(self, t_s: Array) -> Motion:
-        """Motion at t_s (n,), seconds from the start, 0 <= t_s <= duration_s (but for rounding). Raises ValueError outside."""
+        """Motion at t_s (n,), 0 <= t_s <= duration_s. Raises ValueError outside."""
         if t_s.size and not (t_s.min() >= 0.0 and t_s.max() <= self.duration_s + 1e-6):
             raise ValueError(f"the trajectory lasts from 0 to {self.duration_s} s")
         v, a, jerk = (self.path(t_s, nu=order) for order in (1, 2, 3))
@@ -112,7 +109,7 @@ class Trajectory:
 
 
 def build(vehicle: Multirotor | FixedWing, duration_s: float, rng: np.random.Generator, air: Air | None = None) -> Trajectory:
-    """A random trajectory of the vehicle in the air; vehicle.seed, where given, takes the place of rng."""
+    """A random trajectory in the air; vehicle.seed replaces rng."""
     if vehicle.seed is not None:
         rng = np.random.default_rng(vehicle.seed)
     if isinstance(vehicle, Multirotor):
@@ -121,7 +118,7 @@ def build(vehicle: Multirotor | FixedWing, duration_s: float, rng: np.random.Gen
 
 
 def _multirotor(vehicle: Multirotor, duration_s: float, rng: np.random.Generator) -> Trajectory:
-    """Waypoints (t, n, e, d, yaw) joined by straight lines, sampled once a knot, with 5 cm of wander: no hover is perfect."""
+    """Waypoints (t, n, e, d, yaw) joined straight, a sample a knot, 5 cm of wander."""
     times = _knot_times(duration_s)
     rows = [(times[0], 0.0, 0.0, 0.0, rng.uniform(-math.pi, math.pi))]
     rows.append((4.0, *rows[0][1:]))
@@ -151,14 +148,13 @@ def _multirotor(vehicle: Multirotor, duration_s: float, rng: np.random.Generator
 
 
 def _home(vehicle: Multirotor, last: Waypoint) -> list[Waypoint]:
-    """To above the origin, and down."""
     t, n, e, d, yaw = last
     over = t + max(math.hypot(n, e) / vehicle.speed_m_s, 4.0)
     return [(over, 0.0, 0.0, d, yaw), (over + max(-d / vehicle.climb_m_s, 4.0), 0.0, 0.0, 0.0, yaw)]
 
 
 def _fixed_wing(vehicle: FixedWing, duration_s: float, rng: np.random.Generator) -> Trajectory:
-    """Segments of constant turn rate, of speed and climb changing linearly; their velocity, summed up, is the path."""
+    """Segments of constant turn rate, linear speed and climb, integrated."""
     times = _knot_times(duration_s)
     t, course, place = float(times[0]), rng.uniform(-math.pi, math.pi), np.zeros(2)
     rows = [(t, course, rng.uniform(*vehicle.speed_m_s), 0.0)]
@@ -192,7 +188,7 @@ def _wrap(angle: float) -> float:
 
 
 def _knot_times(duration_s: float) -> Array:
-    """The instants the control points stand for (Greville abscissae); a spline of them covers 0..duration_s."""
+    """Control points' instants (Greville abscissae), covering 0..duration_s."""
     count = math.ceil(duration_s / _KNOT_S) + _DEGREE + 1
     return np.asarray((np.arange(count) - 0.5 * (_DEGREE - 1)) * _KNOT_S, dtype=np.float64)
 
@@ -220,7 +216,7 @@ def _coordinated(through_air: Array, change: Array, a: Array, jerk: Array) -> tu
 
 
 def _unit(u: Array, du: Array) -> tuple[Array, Array]:
-    """e = u/|u| and e' = (u' - e (e.u')) / |u|, row by row."""
+    """e = u/|u|, e' = (u' - e (e.u')) / |u|, row by row."""
     norm = np.linalg.norm(u, axis=1, keepdims=True)
     e = u / norm
     return e, (du - e * np.sum(e * du, axis=1, keepdims=True)) / norm

@@ -1,4 +1,4 @@
-"""Connected components of equal labels, from runs: two passes, the second over runs only (thesis section 4.4.2, sequential)."""
+"""Connected components of equal labels by runs, in two passes (thesis section 4.4.2)."""
 
 import numpy as np
 from numba import njit
@@ -11,9 +11,9 @@ Runs = NDArray[np.int32]  # one row per run of equal labels in an image row: row
 
 
 def components(labels: Labels, least_px: int = 1, largest_px: int = 2**31 - 1) -> tuple[Table, Runs, NDArray[np.int32]]:
-    """8-connected components of pixels with the same label (0 is none), those of least_px..largest_px pixels.
+    """8-connected components of equal labels (0: none), of least_px..largest_px pixels.
 
-    Returns their table, all runs sorted by row, and per run the row of its component in the table, -1 if it has none.
+    Their table, all runs sorted by row, and the component's row for each run, -1 without.
     """
     runs, run_labels = _runs(labels)
     return _join(runs, run_labels, least_px, largest_px)

@@ -1,6 +1,6 @@
-"""The two kernels of correspond: the correlation coefficient at whole disparities, and its maximum to a fraction of a pixel.
+"""Kernels of correspond: correlation coefficient at whole disparities, sub-pixel maximum.
 
-A template is a list of pixels, not a rectangle: what lies beside a region has another disparity and must not be compared.
+A template is a list of pixels: neighbours of a region have another disparity.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ _STEPS = 8
 
 @njit(cache=True)
 def padded(mask: NDArray[np.bool_], rim: int) -> NDArray[np.bool_]:
-    """The mask grown by `rim` px (square neighbourhood), in an array larger by rim on every side."""
+    """The mask grown by `rim` px (square), in an array larger by rim on every side."""
     height, width = mask.shape
     rows = np.zeros((height, width + 2 * rim), np.bool_)
     for v in range(height):
@@ -41,7 +41,7 @@ def padded(mask: NDArray[np.bool_], rim: int) -> NDArray[np.bool_]:
 
 @njit(cache=True)
 def template(mask: NDArray[np.bool_], u0: int, v0: int, level: int, rim: int) -> Pixels:
-    """Pixels (N, 2) of the region at a pyramid level, with a rim; mask's first pixel is (u0, v0) at level 0."""
+    """Pixels (N, 2) of the region with a rim at a pyramid level; (u0, v0): mask's first pixel at level 0."""
     size = 2**level
     first_u, first_v = u0 // size, v0 // size
     height = (v0 + mask.shape[0] - 1) // size - first_v + 1
@@ -68,9 +68,9 @@ def template(mask: NDArray[np.bool_], u0: int, v0: int, level: int, rim: int) ->
 
 @njit(cache=True)
 def scan(left: Image, right: Image, pixels: Pixels, low: int, high: int, dv: int) -> Array:
-    """R(d) for d = low..high: correlation coefficient of left(u, v) and right(u - d, v + dv) over the pixels (eq. 4.80).
+    """R(d) for d = low..high: correlation coefficient of left(u, v) and right(u - d, v + dv) (eq. 4.80).
 
-    -1 where more than a quarter of the pixels fall outside an image, or nothing varies.
+    -1 where more than a quarter of the pixels fall outside, or nothing varies.
     """
     scores = np.full(high - low + 1, -1.0)
     for k in range(high - low + 1):
@@ -82,14 +82,14 @@ def scan(left: Image, right: Image, pixels: Pixels, low: int, high: int, dv: int
 
 @njit(cache=True)
 def gain(left: Image, right: Image, pixels: Pixels, disparity: int, dv: int) -> float:
-    """g of right = g left + o: the ratio of the standard deviations. Regression would make it too small, as both are noisy."""
+    """g of right = g left + o: ratio of standard deviations; regression is biased, as both are noisy."""
     _, vx, vy, _ = _moments(left, right, pixels, disparity, dv)
     return float(np.sqrt(vy / vx)) if vx > 0.0 and vy > 0.0 else 1.0
 
 
 @njit(cache=True)
 def _moments(left: Image, right: Image, pixels: Pixels, d: int, dv: int) -> tuple[int, float, float, float]:
-    """n, sum (x - mx)^2, sum (y - my)^2, sum (x - mx)(y - my) of x = left(u, v), y = right(u - d, v + dv), both inside."""
+    """n, sum (x - mx)^2, sum (y - my)^2, sum (x - mx)(y - my) of x = left(u, v), y = right(u - d, v + dv)."""
     height, width = left.shape
     n, sx, sy, sxx, syy, sxy = 0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(pixels.shape[0]):
@@ -114,15 +114,14 @@ def cells(
     left: Image, right: Image, mask: NDArray[np.bool_], corner: tuple[int, int], size: int, plane: Array, dv: int, g: float,
     floor: float,
 ) -> tuple[Array, float, float]:  # fmt: skip
-    """Per cell of a region (u, v, disparity, sigma); then the vertical offset beyond dv that is left, and its information.
+    """Per cell of a region (u, v, disparity, sigma); the remaining vertical offset, and its information.
 
         sum j (I_r(u - d_i - p (u - u_i) - q (v - v_i), v + dv) - g I_l(u, v) - o) = 0,   j = dI_l / du
 
-    plane = (c, p, q, u_c, v_c): the disparity c + p (u - u_c) + q (v - v_c) to begin with. corner (u, v): of the mask's first
-    pixel; size: of a cell, px; g: gain between the images; floor: least noise, levels. The gradient is the left image's
-    (Sobel): the right one's is made of the same interpolated noise as the values are, and would pull every disparity towards
-    half pixels. A cell's disparity belongs to the centroid of its information; its sigma allows for noise that is
-    correlated from pixel to pixel, as the rectification's interpolation leaves it.
+    plane = (c, p, q, u_c, v_c): initial disparity c + p (u - u_c) + q (v - v_c); corner (u, v): mask's first pixel; size: of a
+    cell, px; g: gain; floor: least noise, levels. The gradient is the left image's: the interpolated right one's would pull
+    disparities towards half pixels. A disparity belongs to the centroid of its information; sigma includes noise correlated by
+    rectification.
     """
     height, width = left.shape
     rows, columns = -(-mask.shape[0] // size), -(-mask.shape[1] // size)
@@ -168,7 +167,6 @@ def _gradient(image: Image, u: int, v: int, g: float) -> tuple[float, float]:
 
 @njit(cache=True)
 def _cell(right: Image, cell: Array, plane: Array, dv: int, floor: float, found: Array, sums: Array) -> bool:
-    """One cell (n, 5) into found (u, v, disparity, sigma) and sums; whether it converged."""
     n, width = cell.shape[0], right.shape[1]
     j, remainder, mean3, mean4 = np.empty(n), np.empty(n), 0.0, 0.0
     shift, slope, squares = 0.0, 0.0, 0.0
@@ -236,7 +234,7 @@ def _cell(right: Image, cell: Array, plane: Array, dv: int, floor: float, found:
 
 @njit(cache=True)
 def _catmull_rom(image: Image, v: int, k: int, t: float) -> tuple[float, float]:
-    """Value and derivative of a row at k + t, 0 <= t < 1, by the cubic through its neighbours."""
+    """Value and derivative of a row at k + t, 0 <= t < 1, by cubic interpolation."""
     a, b, c, d = float(image[v, k - 1]), float(image[v, k]), float(image[v, k + 1]), float(image[v, k + 2])
     c1, c2, c3 = 0.5 * (c - a), a - 2.5 * b + 2.0 * c - 0.5 * d, 0.5 * (d - a) + 1.5 * (b - c)
     return b + t * (c1 + t * (c2 + t * c3)), c1 + t * (2.0 * c2 + 3.0 * t * c3)

@@ -1,11 +1,9 @@
-"""From a region and its disparities to metres: a plane through the region, distance, width, length, size, fill ratio.
+"""A region and its disparities to metres (docs/vision.md, section 7).
 
     Z = f b / (d - offset)                                                       (thesis eq. 3.128; offset = cx_l - cx_r)
     1 / Z = A x + B y + C  for  d = c + p (u - u0) + q (v - v0):  A = p / b, B = q / b, C = (c - offset + ...) / (f b)
-    fill ratio = size / (width length)                                                         (thesis section 5.4)
 
-What is uncertain: the plane (from the scatter of the cells, and a part that no scatter shows), each side of the outline, all
-sides together (an image too sharp or too blurred), the rig. Each is moved a little, and what moves with it is the covariance.
+Covariance by perturbation of the plane, each outline side, all sides together (blur), and the rig.
 """
 
 from dataclasses import dataclass
@@ -29,7 +27,7 @@ _CORRELATED_PX = 4.0  # along an edge: its points err together over so far
 
 @dataclass(frozen=True, slots=True)
 class Accuracy:
-    """What the images' scatter does not show, and how far it is worth measuring."""
+    """Errors beyond the images' scatter, and limits of measuring."""
 
     disparity_px: float = 0.03  # of a region as a whole: interpolation, edges that hide what is behind them
     edge_px: float = 0.05  # of a side of an outline
@@ -43,7 +41,7 @@ RECORDED = Accuracy(disparity_px=0.2)
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """What is known of the surface's normal from elsewhere (a roof is level, and the filter knows the attitude)."""
+    """The surface's normal as known from elsewhere (a level roof, the filter's attitude)."""
 
     normal_c: Array  # (3,) unit
     sigma_rad: float
@@ -51,21 +49,17 @@ class Level:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """A region in metres, in the frame c of the left (rectified) camera: right, down, forward.
+    """A region in metres, in the frame c of the left rectified camera.
 
-    centre_c          (3,) centroid of the outline on its plane, m;  covariance_c (3, 3) of it
-    normal_c          (3,) unit normal of the plane, towards the camera
-    axis_c            (3,) unit vector along the length (its sign means nothing)
+    centre_c          (3,) centroid of the outline on its plane, m;  covariance_c (3, 3)
+    normal_c          (3,) unit normal, towards the camera
+    axis_c            (3,) unit vector along the length, either sign
     outline_c         (K, 3) region.outline on the plane, m
-    distance_m        |centre_c|
-    width_m, length_m sides of the smallest rectangle around the outline on the plane, width <= length
-    size_m2           area inside the outline on the plane
-    fill_ratio        size / (width length), thesis section 5.4
-    orientation_rad   angle of axis_c from x_c towards y_c on the plane, in [0, pi);  orientation_sigma_rad
-    covariance        (5, 5) of (distance, width, length, size, fill ratio): all but the last share the error of the depth
-    disparity_px      f b / Z at the centre;  disparity_sigma_px its own error
-    rig_sigma_px      the error of the disparity that the rig's calibration makes, the same in all regions
-    Covariances hold both.
+    width_m, length_m sides of the smallest rectangle around it, width <= length
+    size_m2           area inside it;  fill_ratio: size / (width length), thesis section 5.4
+    orientation_rad   axis_c from x_c towards y_c on the plane, [0, pi);  orientation_sigma_rad
+    covariance        (5, 5) of (distance, width, length, size, fill ratio)
+    disparity_px      f b / Z at the centre;  disparity_sigma_px: own, rig_sigma_px: common to all regions
     """
 
     region: Region
@@ -94,14 +88,14 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class Unmeasured:
-    """A region of which nothing metric is known, and why."""
+    """A region without metric size, and why."""
 
     region: Region
     reason: str
 
 
 def measure(match: Match, rig: StereoRig, accuracy: Accuracy | None = None, level: Level | None = None) -> Measured | Unmeasured:
-    """A matched region in metres. rig: the rectified rig the match was made with."""
+    """A matched region in metres; rig: rectified."""
     accuracy = accuracy or Accuracy()
     outline = match.region.outline
     plane = match.plane if level is None else _levelled(match.plane, level, rig)
@@ -149,7 +143,7 @@ def measure(match: Match, rig: StereoRig, accuracy: Accuracy | None = None, leve
 
 
 def _inverse_depth(plane: DisparityPlane, rig: StereoRig) -> Array:
-    """(A, B, C): 1 / Z = A x + B y + C on the plane, x = X / Z, y = Y / Z."""
+    """(A, B, C): 1 / Z = A x + B y + C, x = X / Z, y = Y / Z."""
     camera = rig.left
     c, p, q = plane.coefficients
     middle = c - disparity_offset(rig) + p * (camera.cx - plane.origin[0]) + q * (camera.cy - plane.origin[1])
@@ -157,14 +151,14 @@ def _inverse_depth(plane: DisparityPlane, rig: StereoRig) -> Array:
 
 
 def _axes(normal: Array) -> tuple[Array, Array]:
-    """Two unit vectors on a plane seen from the front: e1 as near to x_c as can be, e2 = e1 turned from x_c towards y_c."""
+    """Unit vectors on a plane: e1 nearest to x_c, e2 turned from it towards y_c."""
     e1 = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
     e1 /= np.linalg.norm(e1)
     return e1, np.cross(e1, normal)
 
 
 def _levelled(plane: DisparityPlane, level: Level, rig: StereoRig) -> DisparityPlane:
-    """The plane with what is known of its normal: p = b A, q = b B and (A, B, C) along -n; a Kalman update of (p, q)."""
+    """The plane with a known normal: p = b A, q = b B, (A, B, C) along -n; a Kalman update of (p, q)."""
     camera = rig.left
     ray = np.array([(plane.origin[0] - camera.cx) / camera.fx, (plane.origin[1] - camera.cy) / camera.fy, 1.0])
     depth_of_disparity = (plane.coefficients[0] - disparity_offset(rig)) / camera.fx
@@ -181,7 +175,7 @@ def _levelled(plane: DisparityPlane, level: Level, rig: StereoRig) -> DisparityP
 
 
 def _rig_error(rig: StereoRig, plane: DisparityPlane, outline: Array, disparity: float) -> Array:
-    """(3, 3) covariance of the plane's coefficients from the covariance of the right camera's pose and of the lenses.
+    """(3, 3) covariance of the plane's coefficients by the right camera's pose and the lenses.
 
     x_r = exp(theta) x_r0 + dt moves a point's right pixel by
     du = f / Z (dt_x - x dt_z + (1 + x^2) Z theta_y - x y Z theta_x - y Z theta_z),  x, y in the right camera: an error of d.
@@ -207,7 +201,7 @@ def _rig_error(rig: StereoRig, plane: DisparityPlane, outline: Array, disparity:
 
 
 def _side_sigmas(region: Region, accuracy: Accuracy) -> Array:
-    """Of each side of the outline, px: position, then turn; a fitted side averages its points, an arc of a contour does not."""
+    """Position and turn of each outline side, px; fitted sides average their points, arcs do not."""
     if region.corners is None:
         return np.full(_ARCS, np.hypot(region.edge_sigma_px, accuracy.edge_px))
     length = np.linalg.norm(np.roll(region.corners, -1, axis=0) - region.corners, axis=1)
@@ -216,10 +210,10 @@ def _side_sigmas(region: Region, accuracy: Accuracy) -> Array:
 
 
 def _spread(region: Region, plane: DisparityPlane, covariance: Array, rig: StereoRig) -> tuple[Array, Array, Array, Array]:
-    """Centre, distance, width, length, size, fill ratio, orientation (9,); how they move with each standard deviation s of
-    the plane, in proportion to it (9, 3) and to its square (9, 3); and per pixel with each side of the outline (9, S).
+    """Centre, distance, width, length, size, fill ratio, orientation (9,); their change with each plane sigma s, linear (9, 3)
+    and quadratic (9, 3); per pixel with each side (9, S).
 
-    A rectangle's fill ratio feels only the square of a tilt: y(+-s) = y +- a s + q s^2, and q s^2 has second moment 3 q^2.
+    A rectangle's fill ratio changes with the square of a tilt only: y(+-s) = y +- a s + q s^2, second moment 3 q^2.
     """
     outline = region.outline
     moves = _side_moves(outline) if region.corners is not None else _arc_moves(outline)
@@ -239,7 +233,7 @@ def _spread(region: Region, plane: DisparityPlane, covariance: Array, rig: Stere
 
 @njit(cache=True)
 def _side_moves(corners: Array) -> Array:
-    """(2 K, K, 2): how the corners move when side i (corner i to i + 1) moves outwards by one; then, turns by one at its ends."""
+    """(2 K, K, 2): moves of the corners when side i moves outwards by one; then, turns by one at its ends."""
     count = corners.shape[0]
     normals, moves = np.empty((count, 2)), np.zeros((2 * count, count, 2))
     for i in range(count):
@@ -259,7 +253,7 @@ def _side_moves(corners: Array) -> Array:
 
 @njit(cache=True)
 def _arc_moves(contour: Array) -> Array:
-    """(_ARCS, N, 2): how the points move when one arc of the contour moves outwards by one."""
+    """(_ARCS, N, 2): moves of the points when one arc of the contour moves outwards by one."""
     count = contour.shape[0]
     moves = np.zeros((_ARCS, count, 2))
     for i in range(count):
@@ -273,7 +267,7 @@ def _arc_moves(contour: Array) -> Array:
 
 @njit(cache=True)
 def _quantities(outlines: Array, planes: Array, origin: Array, camera: Array) -> Array:
-    """(M, 9) of M outlines (M, K, 2) on M planes (M, 3); camera: fx fy cx cy baseline offset. NaN where one is behind."""
+    """(M, 9) of outlines (M, K, 2) on planes (M, 3); camera: fx fy cx cy baseline offset. NaN behind it."""
     fx, fy, cx, cy, baseline, offset = camera
     count, corners = outlines.shape[0], outlines.shape[1]
     table, flat, bounds = np.full((count, 9), np.nan), np.empty((corners, 2)), np.empty(2, np.int64)

@@ -1,4 +1,4 @@
-"""A polygon through a noisy closed contour: its sides are lines fitted to all their points, its corners where two sides meet."""
+"""A polygon through a noisy closed contour: fitted sides, corners at their intersections."""
 
 import cv2
 import numpy as np
@@ -19,7 +19,7 @@ _CLEAR_PX = 2.0  # points nearer than this to a corner are rounded off by the op
 
 
 def fit_polygon(contour: Array) -> Array | None:
-    """Corners (K, 2), 3 <= K <= 12, in the contour's sense, or None where no polygon explains the contour (N, 2)."""
+    """Corners (K, 2), 3 <= K <= 12, in the contour's (N, 2) sense; None where none fits."""
     closed = np.ascontiguousarray(contour, dtype=np.float32)
     perimeter = cv2.arcLength(closed, True)
     for tolerance in _TOLERANCES:
@@ -33,7 +33,6 @@ def fit_polygon(contour: Array) -> Array | None:
 
 @njit(cache=True)
 def _indices(contour: Array, guess: Array) -> NDArray[np.int64]:
-    """Where the guessed corners stand in the contour."""
     found = np.empty(guess.shape[0], np.int64)
     for i in range(guess.shape[0]):
         least = np.inf
@@ -51,7 +50,7 @@ def _apart(p: Array, q: Array) -> float:
 
 @njit(cache=True)
 def _line(points: Array) -> Array:
-    """(n_u, n_v, d) with n . p = d, |n| = 1: total least squares, twice reweighted by Tukey's biweight."""
+    """(n_u, n_v, d) with n . p = d, |n| = 1: total least squares, two biweight iterations."""
     n = points.shape[0]
     weights, residual, line = np.ones(n), np.empty(n), np.zeros(3)
     for _ in range(3):
@@ -81,7 +80,6 @@ def _line(points: Array) -> Array:
 
 @njit(cache=True)
 def _fit(contour: Array, corner_at: NDArray[np.int64]) -> Array | None:
-    """Corners from the lines between successive corner indices; None if a side is too short or the points stray."""
     n, k = contour.shape[0], corner_at.shape[0]
     if k < 3:
         return None

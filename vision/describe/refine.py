@@ -1,9 +1,8 @@
-"""A region's pixels once more, by its own colour: what leaked in from a ground of like colour goes, what was missed comes.
+"""A region's pixels refined by its own colour.
 
     c = m k + e, e perpendicular to m;    D^2 = ((k - 1) |m| / 2)^2 + |e|^2    <    T^2,    T = a p75(D inside) + b
 
-m: median colour of the inside. Light changes along m (k), paint across it, so a step across counts double. The threshold comes
-from the scatter of the region itself, so a shingle roof gets a wide one and a painted pad a narrow one.
+m: median colour inside. Light changes along m (k), paint across it, which counts double.
 """
 
 import cv2
@@ -28,7 +27,7 @@ Binary = NDArray[np.uint8]
 
 
 def tighten(image: Image, mask: Binary, bbox: Bbox) -> tuple[Binary, Bbox]:
-    """Mask (0, 1) and bbox of the region that has the colour of the given one; the given one where there is no such.
+    """Mask (0, 1) and bbox of the region of that colour; unchanged where there is none.
 
     image: (H, W) or (H, W, 3) uint8; mask (h, w) 0 or 1, its first pixel at bbox[:2].
     """
@@ -60,7 +59,6 @@ def tighten(image: Image, mask: Binary, bbox: Bbox) -> tuple[Binary, Bbox]:
 
 @njit(cache=True)
 def _alike(patch: NDArray[np.uint8], inside: Binary, near: Binary) -> Binary:
-    """Pixels of `near` whose colour is that of `inside`."""
     height, width, channels = patch.shape
     total = 0
     for v in range(height):

@@ -1,7 +1,6 @@
-"""From labels to regions: connected components, small ones removed, their outlines to a fraction of a pixel.
+"""Labels to regions: connected components with sub-pixel outlines.
 
-The outline of a component stands where its pixels end; the true edge lies within a pixel or two of it, where the image changes
-fastest across it. There each outline point is put (thesis section 5.3; the edge as in section 4.3, to a fraction of a pixel).
+Outline points move to the steepest change across the edge, within a pixel or two (thesis sections 4.3, 5.3).
 """
 
 from dataclasses import dataclass
@@ -27,17 +26,17 @@ _POINTS = 400  # of a contour at most; a longer one is thinned out
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """One connected region of the left image (rectified, if the images are); pixel centres at integer (u, v).
+    """One connected region of the left image; pixel centres at integer (u, v).
 
-    contour         (N, 2) closed outline, sub-pixel, anticlockwise as seen in the image, first point not repeated
-    corners         (K, 2) corners of the polygon whose sides were fitted to the contour, same sense; None: not a polygon
-    area_px         area inside the contour, px^2
+    contour         (N, 2) closed outline, sub-pixel, anticlockwise in the image, open
+    corners         (K, 2) of the fitted polygon, same sense; None: not a polygon
+    area_px         inside the contour, px^2
     bbox            (u0, v0, width, height) of the mask, px
-    mask            (height, width) bool, the region's pixels inside bbox
-    touches_border  whether the image cuts it off: its sizes are lower bounds
-    colour_bgr      mean colour of the inside, 0..255 (three equal numbers for a grey image)
-    edge_sigma_px   standard deviation of the contour's points across the edge, px
-    label           which colour class of the segmentation it belongs to
+    mask            (height, width) bool
+    touches_border  cut off: sizes are lower bounds
+    colour_bgr      mean colour inside, 0..255
+    edge_sigma_px   of the contour's points across the edge, px
+    label           colour class of the segmentation
     """
 
     contour: Array
@@ -52,13 +51,13 @@ class Region:
 
     @property
     def outline(self) -> Array:
-        """The corners where there are some, else the contour, (K, 2)."""
+        """Corners, else the contour, (K, 2)."""
         return self.contour if self.corners is None else self.corners
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Which components become regions: of the largest `most` those neither too small nor too large a part of the image."""
+    """Which components become regions: the `most` largest within these shares of the image."""
 
     least_px: int = 60
     least_side_px: int = 6  # of the bounding box
@@ -68,10 +67,10 @@ class Limits:
 
 
 def find_regions(image: Image, labels: Labels, limits: Limits | None = None, valid: Mask | None = None) -> list[Region]:
-    """The regions of a labelled image, largest first.
+    """Regions of a labelled image, largest first.
 
-    image (H, W) or (H, W, 3) uint8, the one that was segmented or a sharper one; labels (H, W), 0 = nothing; valid: 0 where a
-    rectified image shows nothing, so that a region beside it counts as cut off.
+    image (H, W) or (H, W, 3) uint8; labels (H, W), 0 = nothing; valid: 0 where a rectified image is empty, which cuts regions
+    off.
     """
     limits = limits or Limits()
     if limits.clean_window:
@@ -93,7 +92,6 @@ def find_regions(image: Image, labels: Labels, limits: Limits | None = None, val
 
 
 def _cut_off(bbox: tuple[int, int, int, int], shape: tuple[int, ...], valid: Mask | None) -> bool:
-    """Whether the image, or what of it shows anything, ends beside the box."""
     u0, v0, width, height = bbox
     if u0 <= 1 or v0 <= 1 or u0 + width >= shape[1] - 1 or v0 + height >= shape[0] - 1:
         return True
@@ -119,11 +117,10 @@ def _region(image: Image, mask: NDArray[np.uint8], bbox: tuple[int, int, int, in
 
 
 def sharpen(image: Image, outline: Array) -> tuple[Array, float]:
-    """Each point of an outline (N, 2), moved along the outline's normal to the steepest change of colour; its sigma [px].
+    """Points of an outline (N, 2) moved along its normal to the steepest change of colour; sigma [px].
 
-    outline: the pixels' centres just inside the edge, anticlockwise as seen in the image. The change is taken along the
-    difference between the colours inside and outside, so a region as bright as its surroundings but of another colour has an
-    edge too. The sigma is what the points scatter about their neighbours' line.
+    outline: centres of the outermost pixels, anticlockwise in the image. The change is along the colour difference of inside and
+    outside; sigma: scatter about the neighbours' line.
     """
     moved, found = _sharpen(image if image.ndim == 3 else image[..., None], outline, _normals(outline))
     return moved, _scatter(moved) if found >= 8 else 0.5
@@ -131,7 +128,7 @@ def sharpen(image: Image, outline: Array) -> tuple[Array, float]:
 
 @njit(cache=True)
 def _normals(outline: Array) -> Array:
-    """Unit normals (N, 2) to the outside of a closed outline that runs anticlockwise as seen in the image (v down)."""
+    """Outward unit normals (N, 2) of a closed outline, anticlockwise in the image (v down)."""
     n = outline.shape[0]
     normals = np.empty_like(outline)
     for i in range(n):
@@ -147,7 +144,7 @@ def _normals(outline: Array) -> Array:
 
 @njit(cache=True)
 def _scatter(outline: Array) -> float:
-    """Standard deviation [px] of an outline's points across it: each against the chord of its second neighbours."""
+    """Standard deviation [px] across an outline: each point against its second neighbours' chord."""
     n = outline.shape[0]
     normals = _normals(outline)
     across = np.empty(n)
@@ -160,7 +157,7 @@ def _scatter(outline: Array) -> float:
 
 @njit(cache=True)
 def _area(outline: Array) -> float:
-    """Area inside a closed outline, positive if it runs anticlockwise as seen in the image (v down)."""
+    """Area inside a closed outline, positive if anticlockwise in the image (v down)."""
     twice, n = 0.0, outline.shape[0]
     for i in range(n):
         a, b = outline[i - 1], outline[i]
@@ -172,7 +169,6 @@ def _area(outline: Array) -> float:
 def _fill(
     runs: NDArray[np.int32], component: NDArray[np.int32], number: int, u0: int, v0: int, width: int, height: int
 ) -> NDArray[np.uint8]:
-    """Mask (height, width) of one component, from its runs (row, first, one past the last)."""
     mask = np.zeros((height, width), np.uint8)
     for k in range(len(runs)):
         if component[k] == number and v0 <= runs[k, 0] < v0 + height:
@@ -183,7 +179,6 @@ def _fill(
 
 @njit(cache=True)
 def _sharpen(planes: NDArray[np.uint8], outline: Array, normals: Array) -> tuple[Array, int]:
-    """The points moved, and how many found an edge."""
     height, width, channels = planes.shape
     steps = int(2 * _REACH / _STEP) + 1
     profile = np.empty((steps, channels))

@@ -1,13 +1,8 @@
-"""Segmentation: every pixel gets the number of its class, 0 for none (thesis sections 4.1, 4.4 and 5.2.2).
+"""Segmentation: a class number per pixel, 0 for none (thesis sections 4.1, 4.4, 5.2.2; docs/vision.md).
 
-HSV, HSI, Lab and YUV all are cylinders around the axis of the greys, so one description serves them: hue (an angle), saturation
-(distance from the axis) and lightness (height). Three ways to classes:
-
-    colours known from the map      double threshold on each of the three, eq. 4.68
-    nothing known                   seed segmentation: histogram, good peaks by the peakiness test, thresholds in the valleys
-    one channel (grey, thermal)     double threshold about the level around: what is darker or brighter, whichever it is
-
-The first two end as one table over all colours in steps of 4 levels: one look-up per pixel, whatever the colour space.
+colours known from the map      double threshold on hue, saturation, lightness, eq. 4.68
+nothing known                   seed segmentation: good peaks of the histogram, thresholds in the valleys
+one channel (grey, thermal)     double threshold about the surroundings, darker or brighter
 """
 
 from collections.abc import Sequence
@@ -34,10 +29,7 @@ _LIGHT = 128  # codes: 0..89 a hue, 128..191 a lightness
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """How far a pixel may be from a colour: light changes lightness much, haze saturation, neither changes hue.
-
-    What each width costs and is worth: benchmarks/results/recognition.json.
-    """
+    """Tolerances of a colour: light changes lightness, haze saturation, neither hue (benchmarks/results/recognition.json)."""
 
     hue_deg: float = 18.0
     saturation_ratio: float = 2.2  # between 1/2.2 and 2.2 times
@@ -46,7 +38,7 @@ class Tolerance:
     grey_lightness_ratio: float = 1.35
 
     def scaled(self, by: float) -> "Tolerance":
-        """Every width times so much, ratios in logarithm; where grey begins stays."""
+        """All widths times `by` (logarithmic ratios), except the limit of grey."""
         return Tolerance(
             self.hue_deg * by,
             self.saturation_ratio**by,
@@ -58,7 +50,7 @@ class Tolerance:
 
 @dataclass(frozen=True, slots=True)
 class Seeds:
-    """What seed segmentation asks of a peak, and where hue begins to mean something."""
+    """Peaks of seed segmentation, and the least saturation of a hue."""
 
     peakiness: float = 0.15
     least_part: float = 0.002  # of the pixels under a peak
@@ -68,7 +60,7 @@ class Seeds:
 
 @dataclass(frozen=True, slots=True)
 class Intensity:
-    """What segmentation by intensity asks of a pixel."""
+    """Thresholds of segmentation by intensity."""
 
     sigmas: float = 1.5  # from the level around, in robust standard deviations of the image about it
     least: float = 6.0  # levels of 256: less is noise
@@ -76,7 +68,7 @@ class Intensity:
 
 
 def cylinder(bgr: NDArray[np.uint8], space: Space) -> NDArray[np.uint8]:
-    """(hue in steps of 2 degrees, saturation 0..255, lightness 0..255) of (N, M, 3) colours; thesis eq. 4.9-4.11, 4.26-4.51."""
+    """(hue in steps of 2 degrees, saturation, lightness 0..255) of (N, M, 3) colours; eq. 4.9-4.11, 4.26-4.51."""
     if space == "hsv":
         return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2HSV), dtype=np.uint8)
     b, g, r = np.moveaxis(bgr.astype(np.float64), 2, 0)
@@ -97,7 +89,7 @@ def cylinder(bgr: NDArray[np.uint8], space: Space) -> NDArray[np.uint8]:
 
 
 def classes(colours_bgr: Sequence[tuple[float, float, float]], space: Space = "hsv") -> list[tuple[float, float, float]]:
-    """The colours that differ enough to be classes of their own: one within half the tolerance of an earlier one joins it."""
+    """Distinct colours as classes: one within half the tolerance of an earlier one joins it."""
     kept: list[tuple[float, float, float]] = []
     for colour in colours_bgr:
         if all(_distance(_cylinder_of(colour, space), _deviations(other, space, Tolerance())) > 0.5 for other in kept):
@@ -108,9 +100,9 @@ def classes(colours_bgr: Sequence[tuple[float, float, float]], space: Space = "h
 def colour_table(
     colours_bgr: Sequence[tuple[float, float, float]], space: Space = "hsv", tolerance: Tolerance | None = None
 ) -> Labels:
-    """Double threshold around each colour (eq. 4.68), for all colours at once: (64, 64, 64) labels by blue, green, red.
+    """Double threshold around each colour (eq. 4.68): (64, 64, 64) labels by blue, green, red.
 
-    Label k + 1 belongs to colours_bgr[k]; where two overlap the nearer one wins. At most 255 colours.
+    Label k + 1 is colours_bgr[k], the nearer of overlapping ones; at most 255.
     """
     deviations = [_deviations(c, space, tolerance or Tolerance()) for c in colours_bgr]
     nearest: Labels = _nearest(_all_colours(space), np.array(deviations).reshape(-1, 3, 256))
@@ -123,9 +115,9 @@ def segment_colours(image: Image, table: Labels) -> Labels:
 
 
 def segment_seeds(image: Image, space: Space = "hsv", seeds: Seeds | None = None) -> Labels:
-    """Seed segmentation (thesis section 4.5.3): classes are what lies between the valleys of the image's own histograms.
+    """Seed segmentation (thesis section 4.5.3) by valleys of the image's histograms, uint8.
 
-    Pixels with a hue are divided by hue, the others by lightness; a grey image by lightness alone. uint8.
+    By hue where there is one, else by lightness.
     """
     seeds = seeds or Seeds()
     codes = _look_up(image, _codes(space, seeds)) if image.ndim == 3 else _LIGHT + (image >> 2)
@@ -138,12 +130,11 @@ def segment_seeds(image: Image, space: Space = "hsv", seeds: Seeds | None = None
 
 
 def segment_intensity(image: NDArray[np.uint8], intensity: Intensity | None = None) -> Labels:
-    """Double threshold (eq. 4.68) about the level around, on both sides: 1 darker, 2 brighter, 0 neither.
+    """Double threshold (eq. 4.68) about the surroundings: 1 darker, 2 brighter, 0 neither.
 
         |f - b| > t,    b = median over a window,    t = max(sigmas 1.4826 median |f - b|, least)
 
-    For images (H, W) whose polarity nobody knows: at night a roof is colder than the ground it stands on or, heated, warmer;
-    and the ground itself is warm here and cold there, so no threshold serves the whole image.
+    For images (H, W) of unknown polarity (thermal).
     """
     i = intensity or Intensity()
     small = cv2.resize(image, None, fx=1.0 / _REDUCED, fy=1.0 / _REDUCED, interpolation=cv2.INTER_AREA)
@@ -154,12 +145,11 @@ def segment_intensity(image: NDArray[np.uint8], intensity: Intensity | None = No
 
 
 def valleys(histogram: Array, seeds: Seeds | None = None, circular: bool = False) -> NDArray[np.int64]:
-    """Thresholds: the valleys between the good peaks of a histogram, smoothed over three (thesis section 4.4.1.2).
+    """Valleys between good peaks of a histogram smoothed over three (thesis section 4.4.1.2).
 
         peakiness = (1 - (Va + Vb) / 2P) (1 - N / (P W))                                                   (eq. 4.72-4.74)
 
-    A peak that fails is joined with its neighbour over the higher of its two valleys, and the test begins again: a real
-    histogram's wide peak is full of small ones, none of which would pass alone.
+    A peak that fails is joined over its higher valley, and the test repeated.
     """
     seeds = seeds or Seeds()
     turn = int(np.argmin(histogram)) if circular else 0  # a circle is cut where there is least
@@ -173,7 +163,7 @@ def valleys(histogram: Array, seeds: Seeds | None = None, circular: bool = False
 
 @njit(cache=True)
 def _valleys(h: Array, peakiness: float, least: float) -> NDArray[np.int64]:
-    """Indices of the valleys left when every peak between two of them is good; the ends of h are valleys of height 0."""
+    """Indices of valleys left when all peaks are good; the ends of h are valleys of height 0."""
     n = h.shape[0]
     bounds = [0]
     for i in range(1, n - 1):  # the last of equal lowest values is the valley
@@ -205,7 +195,6 @@ def _valleys(h: Array, peakiness: float, least: float) -> NDArray[np.int64]:
 
 
 def _deviations(colour_bgr: tuple[float, float, float], space: Space, tolerance: Tolerance) -> Array:
-    """How far (3, 256) each hue, saturation and lightness is from a colour's, in tolerances."""
     every = np.arange(256.0)
     h0, s0, light0 = _cylinder_of(colour_bgr, space).tolist()
     grey = tolerance.grey_saturation * 255.0
@@ -219,14 +208,13 @@ def _deviations(colour_bgr: tuple[float, float, float], space: Space, tolerance:
 
 @njit(cache=True)
 def _distance(coordinates: Labels, deviations: Array) -> float:
-    """Largest deviation of the three (3,), in tolerances: below 1 inside the double threshold."""
     h, s, light = coordinates
     return float(max(deviations[0, h], deviations[1, s], deviations[2, light]))
 
 
 @njit(cache=True)
 def _nearest(coordinates: Labels, deviations: Array) -> Labels:
-    """Labels (N,) of colours (N, 3): 1 + the nearest of those with deviations (K, 3, 256), 0 outside all double thresholds."""
+    """Labels (N,) of colours (N, 3): 1 + the nearest with deviations (K, 3, 256), 0 outside all."""
     labels = np.zeros(len(coordinates), np.uint8)
     for i in range(len(coordinates)):
         least = 1.0
@@ -249,7 +237,6 @@ def _cylinder_of(colour: tuple[float, float, float], space: Space) -> Labels:
 
 @lru_cache(maxsize=8)
 def _all_colours(space: Space) -> Labels:
-    """Cylinder coordinates (64^3, 3) of the middles of the table's cells, in the table's order."""
     levels = (np.arange(_BINS) * (256 // _BINS) + 2).astype(np.uint8)
     bgr = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1)
     return cylinder(bgr.reshape(_BINS * _BINS, _BINS, 3), space).reshape(-1, 3)
@@ -257,7 +244,6 @@ def _all_colours(space: Space) -> Labels:
 
 @lru_cache(maxsize=8)
 def _codes(space: Space, seeds: Seeds) -> Labels:
-    """Per cell of the table the bin of its hue, or of its lightness where it has none."""
     h, s, light = np.moveaxis(_all_colours(space), 1, 0)
     has_hue = (s >= seeds.grey_saturation * 255.0) & (light >= seeds.dark * 255.0) & (space != "grey")
     codes: Labels = np.where(has_hue, h // 2, _LIGHT + light // 4).astype(np.uint8)
@@ -265,7 +251,7 @@ def _codes(space: Space, seeds: Seeds) -> Labels:
 
 
 def _between(thresholds: NDArray[np.int64], levels: int, first: int, circular: bool = False) -> Labels:
-    """Label per level: first + number of thresholds at or below it; on a circle the last class is also the first."""
+    """Label per level: first + thresholds at or below it; on a circle the last class is the first."""
     count = np.searchsorted(thresholds, np.arange(levels), side="right")
     if circular and len(thresholds):
         count %= len(thresholds)

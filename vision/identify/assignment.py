@@ -1,12 +1,10 @@
-"""Which region is which landmark: the posterior of the joint assignment of all regions in view.
+"""The posterior of the joint assignment of regions to landmarks (docs/vision_identify.md).
 
     x = (dp, dtheta, s): errors common to all regions: prior position [m] and attitude (about n's axes) [rad], log scale of depth
     y_ij = A_ij (x, exp(s) - 1) + e,  e ~ N(0, I): the value of landmark j minus that of region i, whitened
     p(a | Y) ~ prod_i c_i(a_i) . integral N(x; 0, P) prod_i N(y_ia; A_ia (x, exp(s) - 1), I) dx . prod_j missed_j(a, x)
 
-The integral is built region by region (a Kalman update each), so regions are correlated through the pose as they are in truth:
-position among each other counts at full weight, the pose error they share only once. A tree of hypotheses is searched region by
-region, a breadth of the best at a time (Reid 1979; Neira and Tardos 2001, joint compatibility); what is cut off is counted.
+The integral is a Kalman update per region; a breadth of the best hypotheses is kept (Reid 1979; Neira and Tardos 2001).
 """
 
 import math
@@ -32,11 +30,10 @@ _EXPECTED_SIGMAS: Final = 1.0  # a landmark is expected in view when its positio
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What each region may be. Options of region i are start[i] ... start[i + 1] - 1; N in all, R rows each.
+    """Options of region i are start[i] ... start[i + 1] - 1; N in all, R rows each.
 
-    landmark (N,) index of the landmark, -1: none of the map;  y (N, R), A (N, R, 8) whitened, rows of zeros where there is less
-    to say;  log_weight (N,): everything of the option's weight that does not depend on x;  clutter_density: density of unmapped
-    objects at each x (the highest of it is in log_weight), None: everywhere alike.
+    landmark (N,) index, -1: not in the map;  y (N, R), A (N, R, 8) whitened, zeros where unused;  log_weight (N,): independent of
+    x;  clutter_density: at each x relative to its maximum, None: uniform.
     """
 
     start: NDArray[np.int64]
@@ -51,10 +48,10 @@ class Options:
 class Expected:
     """Landmarks that should be seen: (J,) each.
 
-    x_c (J, 3) and A (J, 3, 7): position in the camera's frame at the prior, and its change with x;  radius_m of the landmark
-    log_missed: log probability that it gives no region though wholly in view;  log_gone: that it is no longer there
-    view: (4,) x/z and y/z limits of the image: left, right, top, bottom
-    position_c (M, 3): of the regions (NaN: remembered from an earlier image)
+    x_c (J, 3), A (J, 3, 7): camera position at the prior and its derivative by x;  radius_m
+    log_missed: log probability of no region though in view;  log_gone: of no longer standing
+    view: (4,) x/z and y/z limits: left, right, top, bottom
+    position_c (M, 3): of the regions (NaN: remembered)
     """
 
     x_c: Array
@@ -68,9 +65,9 @@ class Expected:
 
 @dataclass(frozen=True, slots=True)
 class Hypotheses:
-    """Joint assignments, best first: option (H, M) chosen for each region, probability (H,), x (H, 7), covariance (H, 7, 7).
+    """Joint assignments, best first: option (H, M) per region, probability (H,), x (H, 7), covariance (H, 7, 7).
 
-    Probabilities and `unexplored`, an estimate of what was cut off (as if it were to fare like the best), sum to one.
+    Probabilities and `unexplored`, an estimate of what was cut off, sum to one.
     """
 
     option: NDArray[np.int64]
@@ -81,9 +78,9 @@ class Hypotheses:
 
 
 def search(options: Options, expected: Expected, covariance: Array, breadth: int = 300, drop: float = 20.0) -> Hypotheses:
-    """The most probable joint assignments under x ~ N(0, covariance (7, 7)).
+    """Most probable joint assignments under x ~ N(0, covariance (7, 7)).
 
-    breadth: hypotheses kept after each region; drop: those worse than the best by a factor exp(drop) are not followed.
+    breadth: hypotheses kept per region; drop: log factor below the best at which they end.
     """
     count = len(options.start) - 1
     order = np.argsort(np.diff(options.start), kind="stable")  # the least ambiguous first: the pose is known early
@@ -105,10 +102,9 @@ def search(options: Options, expected: Expected, covariance: Array, breadth: int
 
 @njit(cache=True)
 def _update(x: Array, cov: Array, y: Array, A: Array, floor: float) -> float:
-    """x, cov after the rows y = A (x, exp(s) - 1) + e, in place; returns the log density of y without its 2 pi.
+    """x, cov after rows y = A (x, exp(s) - 1) + e, in place; log density without 2 pi.
 
-    Each row is linearised at the s that the rows before it left. Stops, returning a very low number, as soon as the sum falls
-    below floor.
+    Rows are linearised at the updated s; stops with a very low number below floor.
     """
     log_density = 0.0
     row, pa = np.empty(STATES), np.empty(STATES)
@@ -132,7 +128,6 @@ def _update(x: Array, cov: Array, y: Array, A: Array, floor: float) -> float:
 
 @njit(cache=True)
 def _linear(x: Array, y: float, A: Array, row: Array) -> float:
-    """Innovation of a row at x; its derivative is written to row (7,)."""
     growth = math.exp(x[SCALE])
     v = y - A[GROWTH] * (growth - 1.0)
     for a in range(STATES):
@@ -144,7 +139,7 @@ def _linear(x: Array, y: float, A: Array, row: Array) -> float:
 
 @njit(cache=True)
 def _alone(x: Array, cov: Array, y: float, A: Array, row: Array) -> float:
-    """Log density of one row alone, above that of all: enough to refuse most."""
+    """Log density of one row alone, an upper bound of that of all."""
     v = _linear(x, y, A, row)
     s = 1.0 + _variance(row, cov)
     return -0.5 * (v * v / s + math.log(s))
@@ -155,7 +150,7 @@ def _search(
     start: NDArray[np.int64], order: NDArray[np.int64], landmark: NDArray[np.int64], y: Array, A: Array, log_weight: Array,
     prior: Array, breadth: int, drop: float,
 ) -> tuple[NDArray[np.int64], Array, Array, Array, float]:  # fmt: skip
-    """Breadth-limited search; the last number is the weight cut off, relative to the best hypothesis at that depth."""
+    """Breadth-limited search; last: weight cut off, relative to the best at that depth."""
     count = order.shape[0]
     chosen = np.full((1, count), -1, np.int64)
     weight, x, cov = np.zeros(1), np.zeros((1, STATES)), np.empty((1, STATES, STATES))
@@ -196,7 +191,6 @@ def _search(
 
 @njit(cache=True)
 def _copy(x: Array, cov: Array, to_x: Array, to_cov: Array) -> None:
-    """Mean and covariance, (7,) and (7, 7)."""
     for a in range(STATES):
         to_x[a] = x[a]
         for b in range(STATES):
@@ -208,7 +202,6 @@ def _grow(
     chosen: NDArray[np.int64], children: Array, ranked: NDArray[np.int64], choices: int, first: int, region: int, x: Array,
     cov: Array, y: Array, A: Array,
 ) -> tuple[NDArray[np.int64], Array, Array, Array]:  # fmt: skip
-    """The kept children as the next generation."""
     kept = ranked.shape[0]
     next_chosen, next_weight = np.empty((kept, chosen.shape[1]), np.int64), np.empty(kept)
     next_x, next_cov = np.empty((kept, STATES)), np.empty((kept, STATES, STATES))
@@ -224,7 +217,6 @@ def _grow(
 
 @njit(cache=True)
 def _taken(chosen: NDArray[np.int64], landmark: NDArray[np.int64], option: int) -> bool:
-    """Whether another region is that landmark already."""
     if landmark[option] < 0:
         return False
     for o in chosen:  # noqa: SIM110  (numba has no any() of a generator)
@@ -238,9 +230,9 @@ def _missed(
     landmark: NDArray[np.int64], clutter: NDArray[np.bool_], x: Array, cov: Array, x_c: Array, A: Array, radius: Array,
     log_missed: Array, log_gone: float, view: Array, position_c: Array,
 ) -> Array:  # fmt: skip
-    """Log probability, for each hypothesis, of seeing no region where landmarks should be (H,).
+    """Log probability (H,) of the missing regions of expected landmarks.
 
-    Where an object that is not in the map stands on a landmark's own position, the landmark must be gone.
+    An unmapped object at a landmark's position means that it is gone.
     """
     result = np.zeros(landmark.shape[0])
     assigned, position = np.empty(x_c.shape[0], np.bool_), np.empty(3)
@@ -270,7 +262,6 @@ def _missed(
 
 @njit(cache=True)
 def _variance(a: Array, cov: Array) -> float:
-    """a' cov a."""
     total = 0.0
     for i in range(STATES):
         for k in range(STATES):
@@ -280,7 +271,6 @@ def _variance(a: Array, cov: Array) -> float:
 
 @njit(cache=True)
 def _occupied(clutter: NDArray[np.bool_], position_c: Array, growth: float, position: Array, radius: float) -> bool:
-    """Whether a region that is said not to be in the map stands within a radius of a position."""
     for i in range(position_c.shape[0]):
         if clutter[i]:
             square = 0.0

@@ -1,7 +1,6 @@
-"""A region that is no landmark of the map: an object like those of the map, or anything.
+"""Density of unmapped objects, like mapped ones or anything, estimated from the map around.
 
-Unmapped objects look like mapped ones, and stand in the same streets. Their density is estimated from the map around: assuming
-it uniform would make every similar object a certain landmark.
+A uniform density would make every similar object a certain landmark.
 """
 
 import itertools
@@ -23,7 +22,7 @@ _CONSIDERED = 30  # landmarks, the nearest, from which displacements are counted
 
 
 def row(p_n: Array, arm: Array, own: Array, landmarks: Catalogue, b: Assumptions) -> tuple[Array, Array, Array]:
-    """Something not in the map stands as high as what is: one row, whitened."""
+    """Unmapped objects are as high as mapped ones: one whitened row."""
     count = len(arm)
     y, A = np.zeros((count, ROWS)), np.zeros((count, ROWS, COLUMNS))
     if not len(landmarks.ids):
@@ -40,24 +39,22 @@ def row(p_n: Array, arm: Array, own: Array, landmarks: Catalogue, b: Assumptions
 def clutter_density(
     arm: Array, own: Array, attributes: Array, landmarks: Catalogue, turns: Array, log_scales: Array, b: Assumptions
 ) -> ClutterDensity:
-    """Density of objects that are not in the map: of each region's position (arm, own: its covariance) and attributes (M, T,
-    S).
-    """
+    """Density of unmapped objects at each region's position (arm, covariance own) and attributes (M, T, S)."""
     density = intensity(arm, own, landmarks, turns, log_scales, b)
     above = np.log(density / _anywhere(landmarks, b)).sum(axis=0) / max(len(arm), 1)
     return ClutterDensity(np.log(density * attributes), above, turns, log_scales)
 
 
 def grid(covariance: Array) -> tuple[Array, Array]:
-    """Turns (T,) and log scales (S,) that the errors all regions share, of covariance (7, 7), leave open."""
+    """Turns (T,), log scales (S,) that the common errors, covariance (7, 7), leave open."""
     return _offsets(math.sqrt(covariance[5, 5]), math.radians(1.0)), _offsets(math.sqrt(covariance[SCALE, SCALE]), 0.02)
 
 
 def attributes(features: Array, noise: Array, landmarks: Catalogue, turns: Array, log_scales: Array, b: Assumptions) -> Array:
-    """Density of (log width, log length, fill ratio, orientation) of an object that is not in the map (M, T, S).
+    """Density of an unmapped object's (log width, log length, fill ratio, orientation) (M, T, S).
 
-    A kernel estimate over the map around, mixed with: width and length anything from 1 to 100 m, any fill, any orientation.
-    noise (M, 4, 4): of the features, each region's own error of depth included.
+    A kernel estimate over the map, mixed with uniform: 1 to 100 m, any fill and orientation. noise (M, 4, 4): of the features,
+    own depth error included.
     """
     anything = 1.0 / math.log(100.0) ** 2 / 0.7 / math.pi
     density = np.zeros((len(features), len(turns), len(log_scales)))
@@ -80,7 +77,7 @@ def attributes(features: Array, noise: Array, landmarks: Catalogue, turns: Array
 
 
 def sides(part: Partial, noise: Array, count: int, turns: Array, log_scales: Array, b: Assumptions) -> Array:
-    """As attributes (T, S), of the sides that the border leaves: a kernel estimate over the `count` landmarks' runs."""
+    """attributes (T, S) of visible sides: a kernel estimate over `count` landmarks' runs."""
     known = np.flatnonzero(part.known)
     anything = 4.0 / (2.0 * math.pi) / math.log(100.0) ** int(part.known[:2].sum())  # a corner of four
     kernel = (noise + np.diag(_bandwidth(part.described)) ** 2)[np.ix_(known, known)]
@@ -93,10 +90,8 @@ def sides(part: Partial, noise: Array, count: int, turns: Array, log_scales: Arr
 
 
 def _bandwidth(features: Array) -> Array:
-    """Of the kernel (4,), for objects of features (n, 4): h = sigma (4 / ((d + 2) n))^(1 / (d + 4)), d = 4.
-
-    (Silverman, Density estimation, 1986, eq. 4.14 and 4.15.) A kernel as wide as the objects differ would spread what is not in
-    the map over more than the map shows; at the map's own sizes it would be too rare, and a landmark too certain.
+    """Kernel bandwidth (4,) for features (n, 4): h = sigma (4 / ((d + 2) n))^(1 / (d + 4)), d = 4 (Silverman 1986, eq. 4.14,
+    4.15).
     """
     n = len(features) + _LIKE_FEW
     spread = np.sqrt((len(features) * features[:, :3].var(axis=0) + _LIKE_FEW * _LIKENESS**2) / n)
@@ -104,22 +99,20 @@ def _bandwidth(features: Array) -> Array:
 
 
 def _heading_likeness(orientation: Array) -> float:
-    """How far an object's orientation is from its like: of the nearest in orientation, the median. In streets all lie alike."""
+    """Median distance of orientations to their nearest; small in streets."""
     apart = np.abs((orientation[:, None] - orientation + 0.25 * math.pi) % (0.5 * math.pi) - 0.25 * math.pi)
     nearest = np.sort(apart, axis=1)[:, min(_NEIGHBOURS, len(orientation) - 1)]
     return float(np.clip(np.median(nearest), *_HEADING_LIKENESS))
 
 
 def _offsets(sigma: float, step: float) -> Array:
-    """Values within 2 sigma, a step or less apart, but no more than 9."""
     return np.asarray(sigma * np.linspace(-2.0, 2.0, min(max(3, 2 * math.ceil(2.0 * sigma / step) + 1), 9)))
 
 
 def intensity(arm: Array, own: Array, landmarks: Catalogue, turns: Array, log_scales: Array, b: Assumptions) -> Array:
-    """Objects per m^2 that are not in the map, at the position of each region as seen from the others (M, T, S).
+    """Unmapped objects per m^2 at each region's position as seen from the others (M, T, S).
 
-    In streets an unmapped object stands where a landmark would stand if the map were moved by a block, so its density is that of
-    the landmarks at the same displacement from a landmark, not the mean density.
+    In streets they stand where landmarks would if the map moved by a block: the density is the landmarks' at that displacement.
     """
     radius = np.maximum(1.0, 1.4 * np.sqrt(2.0 * own[:, :2, :2].trace(axis1=1, axis2=2) / 2.0))
     position = landmarks.position_n[:, :2].copy()
@@ -128,20 +121,18 @@ def intensity(arm: Array, own: Array, landmarks: Catalogue, turns: Array, log_sc
 
 
 def _anywhere(landmarks: Catalogue, b: Assumptions) -> float:
-    """Objects per m^2 that are not in the map, where nothing is known of the others."""
     return _unmapped(b) * landmarks.density_per_m2 + b.background_per_m2
 
 
 def _unmapped(b: Assumptions) -> float:
-    """Objects that are not in the map, for each that is."""
     return b.unmapped_fraction / (1.0 - b.unmapped_fraction)
 
 
 @njit(cache=True)
 def _displacement_density(region: Array, radius: Array, position: Array, turns: Array, grown: Array) -> Array:
-    """Density of landmarks at region i's displacement from region r, seen from any landmark: mean over r (M, T, S).
+    """Mean over r (M, T, S) of the landmark density at region i's displacement from region r.
 
-    One pair of landmarks is left out, for it may be these very regions.
+    One pair is left out: it may be these regions.
     """
     result = np.zeros((region.shape[0], turns.shape[0], grown.shape[0]))
     if region.shape[0] < 2 or position.shape[0] < 2:
@@ -161,7 +152,7 @@ def _displacement_density(region: Array, radius: Array, position: Array, turns: 
 
 @njit(cache=True)
 def _apart(position: Array) -> Array:
-    """Displacements (2, D) of all landmarks (L, 2) from each of the nearest; from the farther ones the map may end."""
+    """Displacements (2, D) of all landmarks (L, 2) from each of the nearest."""
     apart, d = np.empty((2, min(len(position), _CONSIDERED) * (len(position) - 1))), 0
     for k in range(min(len(position), _CONSIDERED)):
         for m in range(len(position)):
@@ -173,7 +164,6 @@ def _apart(position: Array) -> Array:
 
 @njit(cache=True)
 def _pairs_apart(displacement: Array, turn: float, growth: float, apart: Array, radius: float) -> int:
-    """How many of the displacements apart (2, D) are this one, turned and grown."""
     c, s = growth * math.cos(turn), growth * math.sin(turn)
     n, e = c * displacement[0] - s * displacement[1], s * displacement[0] + c * displacement[1]
     close, square = 0, radius * radius

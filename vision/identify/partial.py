@@ -1,12 +1,10 @@
-"""Regions that the border of the image cuts off: which corners of which landmark they show.
+"""Regions cut off by the border: which corners of which landmark they show.
 
-    c_0 ... c_m     corners of the region that are seen, one after the other, on the plane of its roof, m >= 1
-    l_a ... l_a+m   a run: corners of a landmark whose sides agree with those in direction and, roughly, in length, and whose
-                    other corners are all hidden: they lie beyond the border, were the landmark there
+    c_0 ... c_m     visible corners of the region, on the plane of its roof, m >= 1
+    l_a ... l_a+m   a run: corners of a landmark with sides alike, its other corners hidden beyond the border
     mean l - (p + mean c) = dp - [mean c]x dtheta + mean c (exp(s) - 1) + e
 
-A side and the corners at its ends say where a roof is as well as the whole of it does. In place of width and length stand the
-lengths of two sides, in place of the orientation the direction of one, from 0 to 2 pi.
+Two sides' lengths replace width and length, a side's direction (0 to 2 pi) the orientation.
 """
 
 import math
@@ -29,11 +27,10 @@ _HIDDEN: Final = 0.02  # of x/z: nearer to the border a hidden corner may be see
 
 @dataclass(frozen=True, slots=True)
 class Partial:
-    """What is seen of an outline, and the N runs that it may be.
+    """The visible part of an outline, and N possible runs.
 
-    middle_n (3,) from body to the mean of the corners; features (4,): log lengths of the longest side and the one next to it, a
-    number without meaning, direction of the longest; known (4,): which of these were measured
-    landmark (N,) index into the catalogue; target_n (N, 3) mean of its corners; described (N, 4): its features
+    middle_n (3,): body to the corners' mean; features (4,): log lengths of the longest side and the next, unused, direction of
+    the longest; known (4,): measured; landmark (N,); target_n (N, 3): corners' mean; described (N, 4).
     """
 
     middle_n: Array
@@ -45,14 +42,13 @@ class Partial:
 
     @property
     def sides_m(self) -> Array:
-        """(2,) lengths of the two sides; of one not seen whole, that of the other."""
+        """(2,) side lengths; for a cut side the other's."""
         lengths = np.exp(self.features[:2])
         return np.where(self.known[:2], lengths, lengths[0])
 
     def similarity(self, scale: Array, sigma: float) -> Array:
-        """How well the sides seen agree with each landmark's (J,) at the scale within 3 sigma that suits best, as eq. 5.5 does.
-
-        scale (J,): by which lengths are to be multiplied first.
+        """Agreement of visible sides with each landmark's (J,) at the best scale within 3 sigma, as eq. 5.5; scale (J,): prior
+        factor.
         """
         like = np.zeros(len(scale))
         apart = (self.described - self.features)[:, :2][:, self.known[:2]] - np.log(scale[self.landmark])[:, None]
@@ -62,7 +58,7 @@ class Partial:
 
 
 def seen_corners(corners: Array, width: int, height: int, valid: Mask | None) -> NDArray[np.bool_]:
-    """Which corners (K, 2) px of a region the border has not made."""
+    """Corners (K, 2) px of a region not made by the border."""
     b = _BORDER_PX
     inside = np.all((corners > b) & (corners < (width - 1.0 - b, height - 1.0 - b)), axis=1)
     if valid is not None:
@@ -73,7 +69,7 @@ def seen_corners(corners: Array, width: int, height: int, valid: Mask | None) ->
 
 
 def chain(points: Array, seen: NDArray[np.bool_]) -> Array | None:
-    """The longest run of two or more seen corners of a closed outline (K, D), with the corner before and the one after it."""
+    """The longest run of two or more visible corners of a closed outline (K, D), with its two neighbours."""
     count = len(points)
     if seen.all() or not seen.any():
         return None
@@ -91,10 +87,10 @@ def chain(points: Array, seen: NDArray[np.bool_]) -> Array | None:
 def partial_of(
     arms: Array, vertices: Array, offsets: NDArray[np.int64], roof_d: Array, R_cn: Array, p_c: Array, view: Array, pixel_m: float
 ) -> Partial | None:  # fmt: skip
-    """What is seen, and the runs of landmarks that it may be; None where there are none.
+    """The visible part and its possible runs; None without any.
 
-    arms (K, 3): from body to the corners of a chain, anticlockwise seen from above;  outlines of the landmarks one after the
-    other, roof_d (J,) of them;  R_cn, p_c: x_c = R_cn r - p_c;  view: limits of x/z and y/z;  pixel_m: size of a pixel there.
+    arms (K, 3): body to a chain's corners, anticlockwise from above;  vertices, offsets: outlines, roof_d (J,);  R_cn, p_c: x_c =
+    R_cn r - p_c;  view: x/z, y/z limits;  pixel_m: pixel size there.
     """
     seen, middle = arms[1:-1], arms[1:-1].mean(axis=0)
     landmark, first = _runs(
@@ -117,7 +113,7 @@ def partial_of(
 
 
 def _features(corners: Array, rows: tuple[int, ...]) -> Array:
-    """(N, 4) of runs of corners (N, K, 2): log length of the sides `rows`, nothing, direction of the first, north to east."""
+    """(N, 4) of corner runs (N, K, 2): log lengths of sides `rows`, nothing, direction of the first."""
     side = np.diff(corners, axis=1)[:, list(rows)]
     table = np.zeros((len(corners), 4))
     table[:, : len(rows)] = np.log(np.linalg.norm(side, axis=2))
@@ -129,7 +125,6 @@ def _features(corners: Array, rows: tuple[int, ...]) -> Array:
 def _runs(
     arms: Array, middle: Array, vertices: Array, offsets: NDArray[np.int64], R_cn: Array, p_c: Array, view: Array, short_m: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:  # fmt: skip
-    """Landmark and first corner (N,) of every run."""
     landmark, first = np.empty(len(vertices), np.int64), np.empty(len(vertices), np.int64)
     found = 0
     for j in range(len(offsets) - 1):
@@ -143,7 +138,6 @@ def _runs(
 
 @njit(cache=True)
 def _alike(arms: Array, outline: Array, a: int, short_m: float) -> bool:
-    """Whether the sides seen are like those from corner a on; the first and the last one go on beyond the border."""
     last, n = arms.shape[0] - 2, outline.shape[0]
     if n < last:
         return False
@@ -164,7 +158,6 @@ def _alike(arms: Array, outline: Array, a: int, short_m: float) -> bool:
 
 @njit(cache=True)
 def _hidden(arms: Array, middle: Array, outline: Array, a: int, R_cn: Array, p_c: Array, view: Array) -> bool:
-    """Whether the corners that are not seen lie beyond the border, where the run puts them."""
     seen, n = arms.shape[0] - 2, outline.shape[0]
     north = east = 0.0
     for k in range(seen):

@@ -1,4 +1,4 @@
-"""Is this an image at all? Said before any stage works on it: a reason, or None where nothing is wrong."""
+"""Is an image usable? A reason, or None."""
 
 import math
 from typing import Any
@@ -21,9 +21,9 @@ _STEP = 12  # every twelfth pixel is used
 
 
 def image_flaw(image: Image, camera: CameraModel | None = None) -> str | None:
-    """Why an image cannot be used: format, size, black, white, flat, saturated, torn; None if it can.
+    """Format, size, black, white, flat, saturated, torn; None if usable.
 
-    image (H, W) or (H, W, 3), uint8 or uint16; a camera says what H and W must be.
+    image (H, W) or (H, W, 3), uint8 or uint16; camera: expected H, W.
     """
     if image.dtype not in (np.uint8, np.uint16):
         return "not an image of 8 or 16 bit"
@@ -36,7 +36,7 @@ def image_flaw(image: Image, camera: CameraModel | None = None) -> str | None:
 
 
 def pair_flaw(left: Image, right: Image) -> str | None:
-    """Why two good images are not a pair: different sizes or depths, or twice the same image."""
+    """Why two good images are no pair: sizes or depths differ, or equal images."""
     if left.shape[:2] != right.shape[:2]:
         return f"left is {left.shape[1]} x {left.shape[0]}, right is {right.shape[1]} x {right.shape[0]}"
     if left.dtype != right.dtype:
@@ -64,7 +64,7 @@ def _brightness_flaw(image: Image) -> str | None:
 
 @njit(cache=True)
 def _spread(sample: Image) -> tuple[float, float]:
-    """Standard deviation of the grey values, the means of the channels, of pixels (N, C); the share of them that is saturated."""
+    """Standard deviation of grey, channel means, of pixels (N, C); saturated share."""
     total = square = saturated = 0.0
     for i in range(len(sample)):
         grey = 0.0
@@ -79,7 +79,7 @@ def _spread(sample: Image) -> tuple[float, float]:
 
 
 def _torn_flaw(image: Image) -> str | None:
-    """Rows that are constant, or copies of the row above, at the lower end: the rest never arrived."""
+    """Constant or repeated rows at the lower end: the rest never arrived."""
     row = whole = len(image) - 1
     while row > 0 and (_same(image[row, ::_STEP], image[row, :1]) or _same(image[row, ::_STEP], image[row - 1, ::_STEP])):
         row -= 1

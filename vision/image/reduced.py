@@ -1,9 +1,8 @@
-"""Images for the coarse search: reduced, without lens distortion, and how they change from pixel to pixel.
+"""Images for the coarse search: reduced, undistorted, with gradients.
 
     u_s = (u + 1/2) / s - 1/2                         (pixel of the image reduced s times, pixel centres at integers)
 
-A field (H, W, 8) holds dI/du of three channels, dI/dv of three channels, and the length of all six together; the last one is
-empty, so that a pixel is half a line of the cache. It is made tile by tile, where outlines are searched: elsewhere it is noise.
+A field (H, W, 8): dI/du and dI/dv of three channels, their length, one unused (cache alignment). Tiles are computed on demand.
 """
 
 import math
@@ -30,7 +29,7 @@ _SAMPLE = 5000  # pixels, about, that tell the typical gradient
 
 
 class Level:
-    """An image reduced `size` times as a camera without distortion would have taken it, and its field."""
+    """An undistorted image reduced `size` times, and its field."""
 
     def __init__(self, size: int, camera: CameraModel, image: Image, unseen: Mask) -> None:
         self.size, self.camera, self._unseen = size, camera, unseen
@@ -52,18 +51,18 @@ class Level:
         return self._field
 
     def field(self, aimed: Array, u: tuple[float, float], v: tuple[float, float]) -> Field:
-        """The field where points aimed (N, 11), as vote() takes them, come to lie at shifts from u[0] to u[1], v[0] to v[1]."""
+        """The field at points aimed (N, 11) (vote()) for shifts u[0] to u[1], v[0] to v[1]."""
         c, (height, width) = self.camera, self._field.shape[:2]
         return self.around(_reached(np.array([c.fx, c.fy, c.cx, c.cy]), width, height, aimed, u, v))
 
     def around(self, boxes: Indices) -> Field:
-        """The field in boxes (N, 4) of pixels: from and to, with both, in u, then in v."""
+        """The field in boxes (N, 4) of pixels: from and to, inclusive, in u, then v."""
         _make(self._field, self._made, self._image, self._unseen, boxes)
         return self._field
 
 
 def levels(image: Image, camera: CameraModel, sizes: tuple[int, ...]) -> list[Level]:
-    """One level for each size, sizes rising and each a multiple of the one before. image: uint8, grey or BGR."""
+    """A level per size (rising multiples); image: uint8, grey or BGR."""
     made, reduced, before = [], image, 1
     for size in sizes:
         shape = (camera.width // size, camera.height // size)
@@ -77,7 +76,7 @@ def levels(image: Image, camera: CameraModel, sizes: tuple[int, ...]) -> list[Le
 
 @njit(cache=True)
 def _reached(camera: Array, width: int, height: int, aimed: Array, su: tuple[float, float], sv: tuple[float, float]) -> Indices:
-    """Boxes (N, 4) that points reach. u and v are quotients of what is linear in the shifts: largest at its corners."""
+    """Boxes (N, 4) reached by points; quotients linear in the shifts peak at corners."""
     boxes = np.empty((len(aimed), 4), np.int64)
     for i in range(len(aimed)):
         left, right, top, bottom = np.inf, -np.inf, np.inf, -np.inf
@@ -97,7 +96,6 @@ def _reached(camera: Array, width: int, height: int, aimed: Array, su: tuple[flo
 
 @njit(cache=True)
 def _make(field: Field, made: Mask, image: Image, unseen: Mask, boxes: Indices) -> None:
-    """Make the tiles that boxes (N, 4) touch."""
     rows, columns = field.shape[0], field.shape[1]
     for left, right, top, bottom in boxes:
         if right < 0 or left >= columns or bottom < 0 or top >= rows:
@@ -111,7 +109,6 @@ def _make(field: Field, made: Mask, image: Image, unseen: Mask, boxes: Indices) 
 
 @njit(cache=True)
 def _fill(field: Field, image: Image, unseen: Mask, top: int, left: int) -> None:
-    """The field of one tile."""
     rows, columns, channels = image.shape
     for y in range(top, min(top + _TILE, rows)):
         above, below = _beside(y, rows)
@@ -127,7 +124,6 @@ def _fill(field: Field, image: Image, unseen: Mask, top: int, left: int) -> None
 
 @njit(cache=True)
 def _beside(at: int, size: int) -> tuple[int, int]:
-    """The pixels before and after one; the image is mirrored at its border."""
     return max(at - 1, 1 - at) if size > 1 else 0, at + 1 if at < size - 1 else max(size - 2, 0)
 
 
@@ -144,7 +140,6 @@ def gradient(
 
 @njit(cache=True)
 def _lengths(image: Image, unseen: Mask, step: int) -> Plane:
-    """Length of the gradient at every step-th pixel of every step-th row."""
     rows, columns, channels = image.shape
     lengths = np.empty(((rows + step - 1) // step, (columns + step - 1) // step), dtype=np.float32)
     for y in range(0, rows, step):
@@ -161,7 +156,7 @@ def _lengths(image: Image, unseen: Mask, step: int) -> Plane:
 
 @lru_cache(maxsize=16)
 def _straight(camera: CameraModel, size: int) -> tuple[CameraModel, tuple[Plane, Plane] | None, Mask]:
-    """The reduced camera without distortion, where in the reduced image its pixels come from, and which nobody saw."""
+    """Reduced undistorted camera, source pixels of its image, and which do not exist."""
     width, height = camera.width // size, camera.height // size
     small = CameraModel(
         width, height, camera.fx / size, camera.fy / size, (camera.cx + 0.5) / size - 0.5, (camera.cy + 0.5) / size - 0.5

@@ -1,8 +1,7 @@
-"""An outline as fine as an image can show it.
+"""An outline simplified to the image's resolution.
 
-A curve is mapped as a polygon of many short sides. A side needs some length in the image before its position and direction can be
-measured, so neighbours are joined: half of the corners between short sides that hardly turn go, again and again, as long as the
-curve stays within a pixel of its chords. What the area loses by that is put back all around.
+Short sides cannot be measured: corners between sides that hardly turn are removed repeatedly while the curve stays within a pixel
+of its chords; the lost area is restored.
 """
 
 import math
@@ -22,7 +21,7 @@ _BEND = math.cos(math.radians(50.0))
 
 
 def as_seen(mark: Landmark, px_per_m: float) -> Landmark:
-    """The landmark with an outline for an image of that scale; itself where its sides are long enough."""
+    """The landmark for an image of that scale; itself where its sides are long enough."""
     outline = mark.outline_n
     while len(outline) > 4:
         wanted = _drop(outline, px_per_m)
@@ -36,7 +35,6 @@ def as_seen(mark: Landmark, px_per_m: float) -> Landmark:
 
 @njit(cache=True)
 def _drop(outline: Array, px_per_m: float) -> NDArray[np.bool_]:
-    """Corners (K,) that go in this round, never two side by side."""
     count = len(outline)
     may = np.zeros(count, np.bool_)
     for k in range(count):
@@ -52,7 +50,6 @@ def _drop(outline: Array, px_per_m: float) -> NDArray[np.bool_]:
 
 
 def _grown(outline: Array, area: float) -> Array:
-    """Every side moved outwards by the same distance, so that the area is as wanted."""
     side = np.roll(outline, -1, axis=0) - outline
     length = np.linalg.norm(side, axis=1)
     distance = (area - polygon.area(outline)) / float(length.sum())

@@ -1,10 +1,8 @@
-"""Each edge in each image, reduced to two numbers: how far the image's line lies off the outline's, and how it is turned.
+"""Each edge in each image as two numbers: offset a and tilt b.
 
-    r_i = a + b tau_i + noise,   tau = -1 ... 1 over what is in view of the edge    (offset a and tilt b of the residuals, px)
+    r_i = a + b tau_i + noise,   tau = -1 ... 1 over what is in view of the edge
 
-A straight edge holds no more about the pose than its offset and its tilt, so the fit, its nuisances and its covariance live on
-two numbers per edge instead of dozens of dependent ones. A landmark too small to have edges (small_landmarks.py) holds two as
-well, its shift: r_i = n_i . (du, dv) + noise, with the normals n_i in place of (1, tau_i).
+A small landmark (small_landmarks.py) has its shift instead: r_i = n_i . (du, dv) + noise.
 """
 
 import math
@@ -26,9 +24,9 @@ _ROUNDS = 5
 class EdgeLines:
     """Lines of E edges in one image.
 
-    line: (E, 2) offset and tilt, or shift, px; found: (E,); gain: (N, 2), line_e = sum_i gain_i r_i over the points of e;
-    weight (N,) of the points, 0 = not used; residual: (N,) off the line, px; unit: (E, 2, 2) covariance of the line for white
-    noise of 1 px; square: (E,) weighted sum of squared residuals; points: (E,) effective number.
+    line: (E, 2) offset and tilt, or shift, px; found: (E,); gain: (N, 2), line_e = sum_i gain_i r_i; weight (N,), 0 = not used;
+    residual: (N,) px; unit: (E, 2, 2) covariance for white noise of 1 px; square: (E,) weighted sum of squares; points: (E,)
+    effective number.
     """
 
     line: Array
@@ -50,7 +48,7 @@ class EdgeLines:
 
 
 def fit_lines(offsets: Array, tau: Array, edge: Indices, edges: int, least: int) -> EdgeLines:
-    """Robust lines through offsets (N,) px, NaN where none was found; an edge needs `least` points. tau: as Samples."""
+    """Robust lines through offsets (N,) px (NaN: missing); an edge needs `least` points; tau: as Samples."""
     return EdgeLines(*lines_of(offsets, np.column_stack((np.ones_like(tau), tau)), edge, edges, least))
 
 
@@ -58,7 +56,7 @@ def fit_lines(offsets: Array, tau: Array, edge: Indices, edges: int, least: int)
 def lines_of(
     offsets: Array, x: Array, edge: Indices, edges: int, least: int
 ) -> tuple[Array, NDArray[np.bool_], Array, Array, Array, Array, Array, Array]:
-    """The fields of EdgeLines, as fit_lines; x (N, 2): what the two numbers are multiplied with, 1 and tau of an edge."""
+    """Fields of EdgeLines; x (N, 2): regressors, 1 and tau of an edge."""
     n = offsets.shape[0]
     line, unit, found = np.zeros((edges, 2)), np.zeros((edges, 2, 2)), np.zeros(edges, dtype=np.bool_)
     gain, weight, residual = np.zeros((n, 2)), np.zeros(n), np.zeros(n)
@@ -94,7 +92,6 @@ def lines_of(
 
 @njit(cache=True)
 def _robust_line(r: Array, x: Array, start: int, stop: int, line: Array, unit: Array, weight: Array, residual: Array) -> bool:
-    """Tukey's biweight, its scale by MAD, from a least-absolute start; weight must be 0 or 1."""
     values = np.empty(stop - start)
     for step in range(_ROUNDS):
         s0 = s1 = s2 = y0 = y1 = 0.0
@@ -135,7 +132,6 @@ def _robust_line(r: Array, x: Array, start: int, stop: int, line: Array, unit: A
 
 @njit(cache=True)
 def _median(few: Array) -> float:
-    """Of a few values (N,), which are sorted by it."""
     n = len(few)
     for i in range(1, n):
         value, j = few[i], i

@@ -1,12 +1,9 @@
-"""How uncertain the lines of the edges are, from the scatter of their points.
+"""Covariance of edge lines from the scatter of their points (docs/vision_pose.md).
 
     V_ek = tau s_ek^2 (A^T W A)^-1 + S_ek,        V_e,lr = tau rho s_el s_er G_l^T G_r + rho_s (S_el S_er)^(1/2)
 
-s_ek: scatter of the points of edge e in image k, shrunk towards the image's; tau = (1 + rho_1) / (1 - rho_1): what the
-correlation of neighbours (texture, shading) leaves of their number; rho: correlation of the same points in the two images
-(they show the same texture); S: what all points of an edge have in common, floor + (c s)^2, since texture has wavelengths longer
-than an edge; most of it is the same in both images. rho_1, rho and s are measured in the images at hand and shrunk towards
-what such images have, so that one landmark's few edges give a sound value too.
+s_ek: scatter of edge e in image k; tau = (1 + rho_1) / (1 - rho_1): correlation of neighbours; rho: of the same points in two
+images; all shrunk towards usual values; S: common to an edge's points, floor + (c s)^2.
 """
 
 from collections.abc import Sequence
@@ -51,10 +48,9 @@ class NoiseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def line_covariance(lines: Sequence[EdgeLines], edge: Indices, kind: Indices, opened: Array, config: NoiseConfig) -> Array:
-    """Covariance (E, K, 2, K, 2) px^2 of the lines of E edges in K images; edges do not disturb each other.
+    """Covariance (E, K, 2, K, 2) px^2 of lines of E edges in K images.
 
-    lines: of the same points in each image; edge: (N,) their edge, points of one edge in order; kind: (E,) Kind;
-    opened: (K, E) px^2, further variance of the offsets.
+    lines: of the same points in each; edge: (N,), points in order; kind: (E,) Kind; opened: (K, E) px^2 added to offsets.
     """
     c, images, edges = config, len(lines), len(kind)
     scatter = np.array([_scatter(one.square, one.points, c.edge_points, c.least_px) for one in lines])
@@ -75,7 +71,7 @@ def line_covariance(lines: Sequence[EdgeLines], edge: Indices, kind: Indices, op
 
 
 def _filled(white: Array, unit: Array, common: Array) -> Array:
-    """covariance_e = white_e unit_e + diag(common_e): (E, 2, 2) of white (E,), unit (E, 2, 2) and common (E, 2)."""
+    """covariance_e = white_e unit_e + diag(common_e): (E, 2, 2) of (E,), (E, 2, 2), (E, 2)."""
     covariance: Array = white[:, None, None] * unit
     covariance[:, [0, 1], [0, 1]] += common
     return covariance
@@ -86,7 +82,7 @@ def _common(
     scatter: Array, kind: Indices, opened: Array, floors: tuple[float, float], shares: tuple[float, float],
     further: tuple[float, float, float],
 ) -> Array:  # fmt: skip
-    """Variances (E, 2) of the offset and tilt that all points of an edge share; further: feet, wall corners, small landmarks."""
+    """Variances (E, 2) of offset and tilt common to an edge; further: feet, wall corners, small landmarks."""
     base_px, upright_px, spot_px = further
     common = np.empty((len(scatter), 2))
     for e in range(len(scatter)):
@@ -112,7 +108,7 @@ def _scatter(square: Array, points: Array, edge_points: float, least_px: float) 
 
 
 def _inflation(lines: Sequence[EdgeLines], edge: Indices, scatter: Array, config: NoiseConfig) -> float:
-    """tau of the pooled correlation of neighbours; a fitted line takes about 2 / n of it away, so that is given back."""
+    """tau of the pooled neighbour correlation, corrected by 2 / n for the fit."""
     product, square = config.points * config.neighbours, config.points
     for one, s in zip(lines, scatter, strict=True):
         own = _neighbours(one.residual, one.weight, one.points, edge, s)
@@ -123,7 +119,7 @@ def _inflation(lines: Sequence[EdgeLines], edge: Indices, scatter: Array, config
 
 @njit(cache=True)
 def _neighbours(residual: Array, weight: Array, points: Array, edge: Indices, scatter: Array) -> tuple[float, float]:
-    """Sums of z_i z_i+1 + 2 / n and of (z_i^2 + z_i+1^2) / 2, z = residual / scatter, over neighbours on an edge of n points."""
+    """Sums of z_i z_i+1 + 2 / n and (z_i^2 + z_i+1^2) / 2 over neighbours, z = residual / scatter."""
     product = square = 0.0
     for i in range(1, len(edge)):
         e = edge[i]
@@ -136,7 +132,6 @@ def _neighbours(residual: Array, weight: Array, points: Array, edge: Indices, sc
 
 @njit(cache=True)
 def _shared(left: Array, right: Array, edge: Indices, edges: int) -> Array:
-    """G_l^T G_r (E, 2, 2) of the gains (N, 2) of the same points in two images."""
     total = np.zeros((edges, 2, 2))
     for i in range(len(edge)):
         for a in range(2):
@@ -146,7 +141,6 @@ def _shared(left: Array, right: Array, edge: Indices, edges: int) -> Array:
 
 
 def _correlation(left: EdgeLines, right: EdgeLines, edge: Indices, scatter: Array, config: NoiseConfig) -> float:
-    """rho, pooled over the points seen in both images."""
     product, square = _together(left.residual, left.weight, right.residual, right.weight, edge, scatter)
     rho = (product + config.points * config.correlation) / (square + config.points)
     return min(max(rho, 0.0), 0.95)
@@ -156,7 +150,7 @@ def _correlation(left: EdgeLines, right: EdgeLines, edge: Indices, scatter: Arra
 def _together(
     left: Array, left_weight: Array, right: Array, right_weight: Array, edge: Indices, scatter: Array
 ) -> tuple[float, float]:
-    """Sums of z_l z_r and of (z_l^2 + z_r^2) / 2, z = residual / scatter, over the points seen in both images."""
+    """Sums of z_l z_r and (z_l^2 + z_r^2) / 2, z = residual / scatter, over points in both images."""
     product = square = 0.0
     for i in range(len(edge)):
         if left_weight[i] > _TRUSTED and right_weight[i] > _TRUSTED:

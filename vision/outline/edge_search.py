@@ -1,4 +1,4 @@
-"""Where, to a pixel, all points of an edge together leave the roof, and which profiles run into another edge."""
+"""Where all points of an edge together leave the roof, to a pixel; profiles that cross another edge."""
 
 import numpy as np
 from numba import njit
@@ -19,10 +19,10 @@ _SLACK_PX = 1.0  # more than rounding
 
 @njit(cache=True)
 def search(distance: Array, edge: Indices, edges: int, step: float, usable: Mask) -> Array:
-    """Offsets (N,) px at which all points of a roof edge leave the roof; NaN where there is no such position.
+    """Offsets (N,) px at which a roof edge's points leave the roof; NaN for none.
 
-    distance (N, S): from the roof's colour. Its box differences are added over the points of an edge; the offset of the largest
-    sum wins, if inside it is the roof, unless a second one, farther off than a slope could explain, is nearly as large.
+    distance (N, S): from the roof's colour. Box differences are summed over an edge; the largest wins, if the roof is inside and
+    no far second one is nearly as large.
     """
     n, size = distance.shape
     last = size - _BOX
@@ -63,9 +63,9 @@ def search(distance: Array, edge: Indices, edges: int, step: float, usable: Mask
 
 @njit(cache=True)
 def _elect(vote: Array, square: Array, mean: Array, count: Array) -> Array:
-    """Best position (E,), -1 where none or ambiguous, of the edges' votes (E, S) and the sums of their squares (E, S).
+    """Best position (E,), -1 for none or ambiguous, of votes and squares (E, S).
 
-    mean (E, S): summed distances from the roof. A step stands out of the scatter of its points; what texture makes does not.
+    mean (E, S): summed distances. A step exceeds the scatter of its points, texture does not.
     """
     edges, size = vote.shape
     best = np.full(edges, -1.0)
@@ -93,8 +93,8 @@ def _elect(vote: Array, square: Array, mean: Array, count: Array) -> Array:
 
 @njit(cache=True)
 def crossed(px: Array, normal: Array, edge: Indices, partner: Indices, start: Array, end: Array, reach: float) -> Mask:
-    """Points (N,) whose profile, within reach px, meets the chord start-end (E, 2) of an edge that is neither its own nor
-    that one's partner (E,). Points are in the order of their edges.
+    """Points (N,) whose profile within reach px meets the chord start-end (E, 2) of another edge than its own and the partner
+    (E,); in order of edges.
     """
     n, first = px.shape[0], 0
     result = np.zeros(n, dtype=np.bool_)
@@ -126,7 +126,7 @@ def crossed(px: Array, normal: Array, edge: Indices, partner: Indices, start: Ar
 
 @njit(cache=True)
 def _chords_near(px: Array, start: Array, end: Array, reach: float, near: Indices) -> Indices:
-    """The chords start-end (E, 2) whose box comes within reach px of that of points px (N, 2); near (E,): room for them."""
+    """Chords start-end (E, 2) near points px (N, 2) by boxes; near (E,): room for them."""
     left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
     for i in range(len(px)):
         left, right = min(left, px[i, 0] - reach), max(right, px[i, 0] + reach)

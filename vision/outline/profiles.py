@@ -1,8 +1,7 @@
-"""Profiles across a projected outline in one image, the contrast along them, and where a shadow lies between roof and ground.
+"""Profiles across a projected outline, their contrast, and shadows between roof and ground.
 
-A profile is read along the normal n of a projected edge; its offset s [px] is the residual of the outline, + in the direction of
-n (outwards for roof and base edges). Profiles are read in the image as it is: lens distortion bends the outline, not the
-image.
+Along the edge's normal n; offset s [px], + outwards, is the outline's residual. Images stay distorted: the outline is bent
+instead.
 """
 
 import math
@@ -26,8 +25,7 @@ _ALIKE, _DARKER = 0.96, 0.8  # the same colour (cosine), in a shadow
 def profiles(image: Image, px: Array, normal: Array, half: int, step: float, width: int, usable: Mask) -> Array:
     """Values (N, 2 half + 1, C) of image (H, W, C) at px + s normal, s = -half step ... half step; bilinear.
 
-    px, normal: (N, 2); width: neighbours along the edge, 1 px apart, that are averaged. usable (N,) is cleared where a profile
-    leaves the image.
+    px, normal: (N, 2); width: neighbours averaged along the edge; usable (N,) is cleared outside the image.
     """
     rows, columns, channels = image.shape
     n, size = px.shape[0], 2 * half + 1
@@ -64,12 +62,10 @@ def profiles(image: Image, px: Array, normal: Array, half: int, step: float, wid
 
 @njit(cache=True)
 def along_contrast(values: Array, edge: Indices, shaded: Mask, usable: Mask) -> tuple[Array, Mask]:
-    """Profiles (N, S) of one value: colour along the unit vector of each edge's contrast; and which edges (E,) are clipped.
+    """Profiles (N, S): colour along each edge's contrast; clipped edges (E,).
 
-    Contrast is between the two sides, or between the middle and both sides where that is larger (a dark wall between roof and
-    ground); where a shadow may lie between them (shaded, (E,)) and does, it is between the inner side and the shadow, for at its
-    far side no roof ends. A channel that is saturated anywhere on the edge shifts it and is left out, as long as another has
-    contrast.
+    Contrast: between the sides, or middle and sides (dark wall), or inside and shadow where one lies between (shaded, (E,)),
+    whose far side ends no roof. Saturated channels are omitted if another has contrast.
     """
     n, size, channels = values.shape
     edges, third = len(shaded), size // 3
@@ -102,7 +98,7 @@ def along_contrast(values: Array, edge: Indices, shaded: Mask, usable: Mask) -> 
 
 @njit(cache=True)
 def _contrast(profile: Array, bright: Array, most_bright: float, may_be_shaded: bool, direction: Array) -> bool:
-    """The unit vector (C,) of a mean profile's (S, C) contrast, into direction; whether a channel of it is clipped too much."""
+    """Unit contrast (C,) of a mean profile (S, C), into direction; whether too much is clipped."""
     size, channels = profile.shape
     third = size // 3
     inside, d, shadow = np.empty(channels), np.empty(channels), np.empty(channels)
@@ -134,7 +130,6 @@ def _contrast(profile: Array, bright: Array, most_bright: float, may_be_shaded: 
 
 @njit(cache=True)
 def _average(colours: Array, begin: int, end: int, c: int) -> float:
-    """Of channel c of colours (S, C), begin to end."""
     total = 0.0
     for j in range(begin, end):
         total += colours[j, c]
@@ -143,8 +138,8 @@ def _average(colours: Array, begin: int, end: int, c: int) -> float:
 
 @njit(cache=True)
 def _shadow_between(profile: Array, inside: Array, outside: Array, shadow: Array) -> bool:
-    """Colour (C,) of a profile (S, C), beyond its inner third, where it is farthest from what one blurred step shows, into
-    shadow; False if that is not the outer side's in a shadow, or black.
+    """Colour (C,) of a profile (S, C) farthest from a blurred step, outside its inner third, into shadow; False unless it is the
+    outer side's in shadow, or black.
 
         r = |c - a - t (b - a)|,  0 <= t <= 1:    r > 0.3 |b - a|,    c b / (|c| |b|) > 0.96,    |c| < 0.8 |b|
 
@@ -174,7 +169,7 @@ def _shadow_between(profile: Array, inside: Array, outside: Array, shadow: Array
 
 @njit(cache=True)
 def shaded(colour: Array, ground: Array) -> bool:
-    """Whether a colour (C,) c is that of the ground, b, in a shadow:  c b > 0.96 |c| |b|,  |c| < 0.8 |b|."""
+    """Whether colour (C,) c is ground b in shadow:  c b > 0.96 |c| |b|,  |c| < 0.8 |b|."""
     dark = light = both = 0.0
     for c in range(len(colour)):
         dark += colour[c] ** 2

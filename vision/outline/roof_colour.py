@@ -1,4 +1,4 @@
-"""The colour of each roof along its rim, and where a profile has another one: off the roof, or under something that covers it."""
+"""Colour of each roof along its rim, and profiles that leave it or are covered."""
 
 import math
 
@@ -34,7 +34,6 @@ def _ends(values: Array) -> tuple[Array, Array]:
 
 @njit(cache=True)
 def _rim(m: int, edge: Indices, landmark: Indices, roof: Mask, usable: Mask) -> Indices:
-    """The usable points of landmark m's roof edges; landmark, roof: (E,) of the edges."""
     rim, count = np.empty(len(edge), np.int64), 0
     for i in range(len(edge)):
         if usable[i] and roof[edge[i]] and landmark[edge[i]] == m:
@@ -45,7 +44,6 @@ def _rim(m: int, edge: Indices, landmark: Indices, roof: Mask, usable: Mask) -> 
 
 @njit(cache=True)
 def _marks(landmark: Indices) -> int:
-    """How many landmarks there are, one at least; landmark (E,) of the edges."""
     most = 0
     for e in range(len(landmark)):
         most = max(most, landmark[e])
@@ -54,9 +52,9 @@ def _marks(landmark: Indices) -> int:
 
 @njit(cache=True)
 def roof_colours(values: Array, edge: Indices, landmark: Indices, roof: Mask, usable: Mask) -> Array:
-    """Colour (L, C) of each landmark's roof: the median, along its rim, of what ends there; NaN where no point is usable.
+    """Median rim colour (L, C) of each roof; NaN without usable points.
 
-    What hides a part of a roof goes on beyond its rim. values (N, S, C): profiles that run outwards; roof: (E,).
+    values (N, S, C): outward profiles; roof: (E,).
     """
     inside, outside = _ends(values)
     n, channels = inside.shape
@@ -86,10 +84,9 @@ def roof_colours(values: Array, edge: Indices, landmark: Indices, roof: Mask, us
 def roof_beside(
     values: Array, interior: Array, inside: Mask, edge: Indices, landmark: Indices, roof: Mask, usable: Mask
 ) -> Array:
-    """Colour (N, C) of the roof beside each point: the landmark's, as light or dark as the slope there; gables have two.
+    """Roof colour (N, C) beside each point, with the local brightness (gables have two).
 
-    interior (N, S', C): what lies farther inside than profiles values (N, S, C), where inside (N,); neighbours on the edge
-    count as well.
+    interior (N, S', C): farther inside than values (N, S, C), where inside (N,); neighbours on the edge count.
     """
     n, size, channels = interior.shape
     colour = roof_colours(values, edge, landmark, roof, usable)
@@ -118,7 +115,7 @@ def roof_beside(
 
 @njit(cache=True)
 def off_roof(values: Array, beside: Array, edge: Indices, roof: Mask, usable: Mask) -> Array:
-    """How far colours are from the roof's beside them (N, C) along profiles (N, S) that run outwards; 0 where there is none."""
+    """Distance of outward profiles (N, S) from the roof's colour beside (N, C); 0 without."""
     n, size, channels = values.shape
     distance = np.zeros((n, size))
     for i in range(n):
@@ -133,7 +130,7 @@ def off_roof(values: Array, beside: Array, edge: Indices, roof: Mask, usable: Ma
 
 @njit(cache=True)
 def alien(values: Array, beside: Array, edge: Indices, roof: Mask, usable: Mask) -> Mask:
-    """Which roof edges (E,) have something else than the roof, of colour beside (N, C), all along inside: the foot of a wall.
+    """Roof edges (E,) with another colour than beside (N, C) all along inside: a wall's foot.
 
         |inside - beside| > 0.4 |outside - inside| + 4
 
@@ -163,11 +160,11 @@ def alien(values: Array, beside: Array, edge: Indices, roof: Mask, usable: Mask)
 
 @njit(cache=True)
 def covered(values: Array, beside: Array, edge: Indices, landmark: Indices, roof: Mask, usable: Mask) -> Mask:
-    """Points (N,) of roof edges inside of which there is something else than the roof, of colour beside (N, C): a tree, ground.
+    """Points (N,) of roof edges covered inside by another colour than beside (N, C): trees, ground.
 
         d_i > max(0.4 median |outside - beside|, 4 quartile d) + 4,    d = min_k |inside - k beside|, k = 0.5 ... 1
 
-    of the points along a landmark's rim: what lies in a shadow is the roof still. The arguments are those of roof_colours.
+    along a landmark's rim; shadows count as roof.
     """
     inside, outside = _ends(values)
     n, channels = inside.shape

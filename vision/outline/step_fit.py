@@ -1,10 +1,9 @@
-"""Where blurred steps lie on profiles across an outline, to a few hundredths of a pixel.
+"""Sub-pixel position of blurred steps on profiles.
 
     g(s) = a + c1 Phi((s - s0) / sigma) + c2 Phi((s - s0 - gap) / sigma)
 
-One step where roof meets ground; two a known gap apart where a narrow wall lies between, or a strip of shadow whose width is
-found. Levels, position and blur come from the mean profile of an edge (Levenberg-Marquardt), then each point takes one linear
-least-squares estimate on that shape: its gain, and how far it is shifted.
+Two steps where a narrow wall, or a shadow strip of estimated width, lies between roof and ground. The edge's mean profile gives
+shape (Levenberg-Marquardt), then each point one linear estimate of gain and shift.
 """
 
 import math
@@ -32,11 +31,10 @@ _FIRST = 0.35  # share of the larger contrast that the first of two steps has at
 
 @njit(cache=True)
 def fit(grey: Array, edge: Indices, gap: Array, farthest: float, step: float, usable: Mask) -> tuple[Array, Array, Array]:
-    """Offsets (N,) px of the blurred steps, NaN where there is none; blur (E,) px; variance (E,) px^2 that gaps add.
+    """Offsets (N,) px, NaN for none; blur (E,) px; variance (E,) px^2 by gaps.
 
-    gap: (E,) px to a second step that moves along with the first (the foot of a narrow wall), 0 without. How much of the contrast
-    belongs to which step is estimated, and what that leaves open of the position is the variance. No edge is farther off than
-    `farthest` px on the mean.
+    gap: (E,) px to a second step (a narrow wall's foot), 0 without; the variance is what the division of contrast leaves open.
+    farthest: largest mean offset, px.
     """
     n, size = grey.shape
     edges, half = len(gap), size // 2
@@ -105,7 +103,6 @@ def fit(grey: Array, edge: Indices, gap: Array, farthest: float, step: float, us
 
 @njit(cache=True)
 def _normal(z: float) -> tuple[float, float]:
-    """Phi(z), from a table with linear interpolation (error below 1e-5), and phi(z)."""
     if z <= -_TAIL:
         return 0.0, 0.0
     if z >= _TAIL:
@@ -118,7 +115,7 @@ def _normal(z: float) -> tuple[float, float]:
 
 @njit(cache=True)
 def _basis(position: Array, s0: float, sigma: float, gap: float, basis: Array) -> None:
-    """Columns 1, Phi, Phi of the second step, and the two densities, at each position: (S, 5)."""
+    """Columns 1, Phi, Phi of the second step, two densities, at each position: (S, 5)."""
     for j in range(position.shape[0]):
         z = (position[j] - s0) / sigma
         basis[j, 0] = 1.0
@@ -133,7 +130,7 @@ def _basis(position: Array, s0: float, sigma: float, gap: float, basis: Array) -
 
 @njit(cache=True)
 def _levels(gg: float, g1: float, g2: float, a11: float, a12: float, a22: float, weight: float) -> tuple[float, float, float]:
-    """Least |g - c1 f1 - c2 f2|^2 + weight (c1 - c2)^2, and c1, c2, from the inner products of g, f1, f2."""
+    """Least |g - c1 f1 - c2 f2|^2 + weight (c1 - c2)^2, and c1, c2, from inner products."""
     b11, b12, b22 = a11 + weight, a12 - weight, a22 + weight
     det = b11 * b22 - b12 * b12
     if det <= 1e-9 * b11 * b22:
@@ -144,7 +141,7 @@ def _levels(gg: float, g1: float, g2: float, a11: float, a12: float, a22: float,
 
 @njit(cache=True)
 def _split(position: Array, g: Array, gap: float, weight: float, s0: float, sigma: float, x: Array, basis: Array) -> float:
-    """x = (a, c1, c2, s0, sigma), the levels by linear least squares at s0 and sigma; returns the cost. g: without its mean."""
+    """x = (a, c1, c2, s0, sigma), levels by linear least squares at s0, sigma; returns the cost; g: mean-free."""
     _basis(position, s0, sigma, gap, basis)
     size = position.shape[0]
     m1 = m2 = gg = g1 = g2 = a11 = a12 = a22 = 0.0
@@ -172,9 +169,8 @@ def _split(position: Array, g: Array, gap: float, weight: float, s0: float, sigm
 
 @njit(cache=True)
 def _fit_mean(position: Array, g: Array, gap: float, farthest: float, starts: Array) -> tuple[Array, float, float]:
-    """(a, c1, c2, s0, sigma) of a + c1 Phi((s - s0) / sigma) + c2 Phi((s - s0 - gap) / sigma), the variance of s0, and
-    the mean squared misfit. Levenberg-Marquardt from the best of several positions; the levels are always the best ones.
-    g: a mean profile without its own mean; starts: _steps() of a single step at these positions.
+    """(a, c1, c2, s0, sigma) of the mean profile g (mean-free), variance of s0, mean squared misfit: Levenberg-Marquardt from the
+    best of starts, levels optimal; starts: _steps() of a single step.
     """
     size = position.shape[0]
     reach = position[size - 1]
@@ -235,14 +231,12 @@ def _fit_mean(position: Array, g: Array, gap: float, farthest: float, starts: Ar
 
 @njit(cache=True)
 def _put(values: Array, into: Array) -> None:
-    """into <- values."""
     for k in range(len(values)):
         into[k] = values[k]
 
 
 @njit(cache=True)
 def _range(g: Array) -> float:
-    """Largest less least of a profile."""
     least = most = g[0]
     for j in range(1, len(g)):
         least, most = min(least, g[j]), max(most, g[j])
@@ -251,13 +245,12 @@ def _range(g: Array) -> float:
 
 @njit(cache=True)
 def _unevenness(contrast: float) -> float:
-    """Weight of (c1 - c2)^2: the noise of a mean profile over how uneven two steps of a contrast may be, squared."""
+    """Weight of (c1 - c2)^2: noise over unevenness of two steps, squared."""
     return (2.0 / (1.5 * max(contrast, 1.0))) ** 2
 
 
 @njit(cache=True)
 def _starts(farthest: float) -> Array:
-    """Positions (9,) from which a step is sought."""
     positions = np.empty(9)
     for k in range(9):
         positions[k] = 0.25 * farthest * (k - 4.0)
@@ -266,7 +259,7 @@ def _starts(farthest: float) -> Array:
 
 @njit(cache=True)
 def _steps(position: Array, s0: Array, sigma: float) -> Array:
-    """Steps Phi((s - s0) / sigma) (P, S) at positions s0 (P,), without their means."""
+    """Steps Phi((s - s0) / sigma) (P, S) at s0 (P,), mean-free."""
     steps = np.empty((len(s0), len(position)))
     for p in range(len(s0)):
         total = 0.0
@@ -280,7 +273,6 @@ def _steps(position: Array, s0: Array, sigma: float) -> Array:
 
 @njit(cache=True)
 def _best_start(starts: Array, g: Array) -> int:
-    """Which single step f of (P, S) leaves least of g: the one of the largest (f . g)^2 / f . f."""
     best, found = 0.0, 0
     for p in range(len(starts)):
         inner = square = 0.0
@@ -294,7 +286,7 @@ def _best_start(starts: Array, g: Array) -> int:
 
 @njit(cache=True)
 def _strip_columns(position: Array, farthest: float) -> Array:
-    """_steps (1 + W, P, S): the first one at P positions, then the second one for each of W widths."""
+    """_steps (1 + W, P, S): the first at P positions, the second for each of W widths."""
     columns = np.empty((1 + len(_WIDTHS), _STRIP_POSITIONS, position.shape[0]))
     s0 = np.empty(_STRIP_POSITIONS)
     for w in range(columns.shape[0]):
@@ -308,7 +300,7 @@ def _strip_columns(position: Array, farthest: float) -> Array:
 
 @njit(cache=True)
 def _strip(columns: Array, g: Array, misfit: float) -> float:
-    """Width [px] of a strip along the edge (a shadow's rim) that explains what one step does not, 0 where none does."""
+    """Width [px] of a strip (a shadow's rim) that explains the misfit of one step, or 0."""
     weight, gg = _unevenness(_range(g)), 0.0
     for j in range(len(g)):
         gg += g[j] * g[j]
@@ -362,7 +354,7 @@ def _normal_equations(
 
 @njit(cache=True)
 def _point_rows(position: Array, x: Array, gap: float, rows: Array) -> bool:
-    """Rows that take gain and gain * shift out of one profile: least squares on 1, the edge's own steps and their derivative."""
+    """Rows that give gain and gain * shift of a profile: least squares on 1, the edge's steps and derivative."""
     size = position.shape[0]
     basis, jacobian = np.empty((size, 5)), np.empty((size, 3))
     _basis(position, x[3], x[4], gap, basis)

@@ -1,11 +1,9 @@
-"""Which edges of extruded landmarks a camera above them sees: roof outline, upright edges, and base edges of visible sides.
+"""Edges of extruded landmarks seen from above: roof outline, uprights, base edges.
 
     X(t) = start + t (end - start),  0 <= t <= 1                                                           (NED, m)
 
-A side is seen from its outer half-space: (p_c - X) . n_out > 0. A point X below a roof is hidden by that landmark if the
-horizontal track of its line of sight, from where that line crosses the roof's plane to X, meets the outline: exact for upright
-prisms seen from above. Every point carries its derivatives by the landmark's own unknowns (MapError), so that errors of the map
-can be weighed.
+A side is seen from outside: (p_c - X) . n_out > 0. X is hidden where its line of sight, below the roof's plane, crosses the
+outline on the map: exact for upright prisms.
 """
 
 from collections.abc import Sequence
@@ -26,7 +24,7 @@ _BACK_M = 0.02  # a point is examined from this far before its wall, so that its
 
 
 class Kind(IntEnum):
-    """What an edge separates."""
+    """Kind of an edge."""
 
     ROOF = 0
     BASE = 1
@@ -35,8 +33,8 @@ class Kind(IntEnum):
 
 
 class MapError(IntEnum):
-    """Unknowns of one landmark [m]: shift north and east, rise of the roof, growth of the outline, and tilt of the roof: by how
-    much it rises towards north and east over the outline's radius (root mean square of the corners' distances from their mean).
+    """Unknowns of a landmark [m]: shift north, east, rise of the roof, growth of the outline, tilt: rise towards north and east
+    over the outline's RMS radius.
     """
 
     NORTH = 0
@@ -54,7 +52,7 @@ _ERRORS = len(MapError)
 
 @dataclass(frozen=True, slots=True)
 class Prisms:
-    """L landmarks for the kernels: vertices (V, 2) anticlockwise seen from above, offsets (L + 1,), base_d and height_m (L,)."""
+    """L landmarks: vertices (V, 2) anticlockwise from above, offsets (L + 1,), base_d and height_m (L,)."""
 
     vertices: Array
     offsets: Indices
@@ -77,18 +75,18 @@ class Prisms:
         return np.column_stack((self.vertices, np.repeat(self.base_d - self.height_m, np.diff(self.offsets))))
 
     def moved(self, shift_m: Array) -> "Prisms":
-        """As they stand if they are off the map by shift_m (L, M): what hides is as much elsewhere as what is hidden."""
+        """Moved by map errors shift_m (L, M), as they hide and are hidden."""
         vertices = _moved(self.vertices, self.offsets, shift_m)
         return Prisms(vertices, self.offsets, self.base_d, self.height_m + shift_m[:, _RISE] * (self.height_m > 0.0))
 
 
 @dataclass(frozen=True, slots=True)
 class ModelEdges:
-    """E edges of L landmarks as seen from one position.
+    """E edges of L landmarks from one position.
 
-    start_n, end_n: (E, 3) m, roof and base edges run anticlockwise; landmark: (E,) index; kind: (E,) Kind; partner: (E,) the base
-    edge below a roof edge whose side is visible and the other way round, -1 without; map_start, map_end: (E, 3, M) derivatives of
-    the ends by MapError; raised: (E,) of what stands on the ground, not of a mark painted on it.
+    start_n, end_n: (E, 3) m, roof and base edges anticlockwise; landmark: (E,); kind: (E,) Kind; partner: (E,) base edge below a
+    roof edge of a visible side and reverse, -1 without; map_start, map_end: (E, 3, M) derivatives by MapError; raised: (E,) not
+    painted on the ground.
     """
 
     start_n: Array
@@ -102,7 +100,7 @@ class ModelEdges:
 
 
 def visible_edges(landmarks: Prisms | Sequence[Landmark], p_nc: Array, shift_m: Array | None = None) -> ModelEdges:
-    """Edges seen from p_nc (3,) m, of landmarks that are off the map by shift_m (L, M); none of one whose roof is not below."""
+    """Edges seen from p_nc (3,) m, landmarks off the map by shift_m (L, M); roofs must be below."""
     prisms = landmarks if isinstance(landmarks, Prisms) else Prisms.of(landmarks)
     count = len(prisms.base_d)
     shift = np.zeros((count, len(MapError))) if shift_m is None else shift_m
@@ -159,7 +157,6 @@ def _visible_edges(
 
 @njit(cache=True)
 def _moved(vertices: Array, offsets: Indices, shift: Array) -> Array:
-    """Corners (V, 2) where they truly are."""
     corners = np.empty_like(vertices)
     for m in range(len(offsets) - 1):
         moved = _corners(vertices[offsets[m] : offsets[m + 1]], shift[m])[0]
@@ -170,7 +167,7 @@ def _moved(vertices: Array, offsets: Indices, shift: Array) -> Array:
 
 @njit(cache=True)
 def _corners(outline: Array, shift: Array) -> tuple[Array, Array, Array]:
-    """Corners (K, 2) where they truly are, their motion per metre of growth along the mitre, outward normals of the sides."""
+    """True corners (K, 2), their mitre motion per metre of growth, outward normals."""
     count = len(outline)
     outward, mitre, corners = np.empty((count, 2)), np.empty((count, 2)), np.empty((count, 2))
     for j in range(count):
@@ -190,7 +187,7 @@ def _corners(outline: Array, shift: Array) -> tuple[Array, Array, Array]:
 
 @njit(cache=True)
 def _levers(outline: Array) -> Array:
-    """By how much (K, 3) each corner rises per metre of RISE, TILT_NORTH and TILT_EAST."""
+    """Rise (K, 3) of each corner per metre of RISE, TILT_NORTH and TILT_EAST."""
     count, north, east, square = len(outline), 0.0, 0.0, 0.0
     for j in range(count):
         north += outline[j, 0]
@@ -210,7 +207,6 @@ def _levers(outline: Array) -> Array:
 def _put(
     n: int, end: int, corner: Array, mitre: Array, down: float, lever: Array, shift: Array, ends: Array, by_map: Array
 ) -> None:
-    """One end of edge n, and its derivatives; down: of the roof without its tilt."""
     tilt = lever[1] * shift[_TILT_NORTH] + lever[2] * shift[_TILT_EAST]
     ends[end, n, 0], ends[end, n, 1], ends[end, n, 2] = corner[0], corner[1], down - tilt
     by_map[end, n, 0, _NORTH] = by_map[end, n, 1, _EAST] = 1.0
@@ -220,7 +216,7 @@ def _put(
 
 
 def hidden(points_n: Array, p_nc: Array, landmarks: Prisms | Sequence[Landmark]) -> NDArray[np.bool_]:
-    """Which of points_n (N, 3) are hidden by one of the landmarks from a camera at p_nc."""
+    """Which points_n (N, 3) landmarks hide from a camera at p_nc."""
     prisms = landmarks if isinstance(landmarks, Prisms) else Prisms.of(landmarks)
     result = np.zeros(len(points_n), dtype=np.bool_)
     hide(points_n, p_nc, prisms.vertices, prisms.offsets, prisms.base_d, prisms.height_m, result)
@@ -231,7 +227,7 @@ def hidden(points_n: Array, p_nc: Array, landmarks: Prisms | Sequence[Landmark])
 def hide(
     points: Array, p_c: Array, vertices: Array, offsets: Indices, base_d: Array, height: Array, result: NDArray[np.bool_]
 ) -> None:
-    """Set result (N,) where points (N, 3) are hidden by one of the prisms; those set already are not examined."""
+    """Set result (N,) where a prism hides points (N, 3); set ones are skipped."""
     for m in range(len(base_d)):
         if height[m] > 0.0:
             _hidden_by(points, p_c, vertices[offsets[m] : offsets[m + 1]], base_d[m] - height[m], result)

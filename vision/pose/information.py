@@ -1,11 +1,9 @@
-"""What images say of the pose, and in which directions they say anything.
+"""Information of images about the pose, and its measured directions (docs/vision_pose.md).
 
     Lambda_I = Omega_pp - Omega_pn Omega_nn^-1 Omega_np = L U diag(lambda) U^T L^T,   Lambda_0 = L L^T
 
-Lambda_I: information of the images about the pose, errors of map and rig (n) being unknown too; Lambda_0: of the prior. A
-direction is measured where lambda is not less than a share of the prior's information. From a lower one nothing is learnt, and
-its reading lies 1 / sqrt(lambda) of the prior's standard deviations away from where the images were linearised. One edge, one
-corner, one round roof leave directions open; then the measurement is D xi, D = U_k^T L^T (its rows made orthonormal).
+Lambda_I: with unknown errors of map and rig (n); Lambda_0: of the prior. A direction is measured where lambda exceeds a share;
+with open ones the measurement is D xi, D = U_k^T L^T orthonormalised.
 """
 
 import math
@@ -26,7 +24,7 @@ _STRAIGHT_SHARE = 0.5  # below it in any, a fix is reported along its directions
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """prior: Lambda_0; low: L; basis: U, all (6, 6), best measured first; share: lambda (6,); rank: how many are measured."""
+    """prior: Lambda_0; low: L; basis: U (6, 6), best first; share: lambda (6,); rank: measured."""
 
     prior: Array
     low: Array
@@ -36,20 +34,20 @@ class Measured:
 
     @classmethod
     def of(cls, omega: Array, prior: Array) -> "Measured":
-        """omega (6 + P, 6 + P): information of the images, with the priors of map and rig; prior (6, 6): of the pose."""
+        """omega (6 + P, 6 + P): images, with priors of map and rig; prior (6, 6): of the pose."""
         low = np.asarray(np.linalg.cholesky(prior), dtype=np.float64)
         values, vectors = np.linalg.eigh(_white(omega, low))
         return cls(prior, low, vectors[:, ::-1], values[::-1], int((values >= _LEAST_SHARE).sum()))
 
     @property
     def whole(self) -> bool:
-        """Whether the images alone tell a pose near where they were linearised."""
+        """Whether the images alone determine the pose near the linearisation."""
         return bool(self.share[-1] >= _STRAIGHT_SHARE)
 
     def reported_along(self, delta: Array, covariance: Array) -> tuple[Array, Array]:
-        """D (r, 6), orthonormal where a radian counts as RADIAN_M metres, and y = D C Lambda_0 delta (r,), as in LandmarkFix.
+        """D (r, 6), orthonormal with a radian as RADIAN_M metres, and y = D C Lambda_0 delta (r,), as in LandmarkFix.
 
-        delta (6,): of the joint optimum; y is what the directions read from there, so that with the prior it stays the optimum.
+        delta (6,): of the joint optimum, which y preserves with the prior.
         """
         rows = self.basis[:, : self.rank].T @ self.low.T
         q, _ = np.linalg.qr((rows / DIRECTION_SCALE).T)
@@ -57,10 +55,10 @@ class Measured:
         return directions, directions @ (covariance @ (self.prior @ delta))
 
     def covariances(self, system: System, omega: Array, factor: float) -> tuple[Array, Array]:
-        """What of the pose's error (6, 6) comes from the images, and how errors of map and rig, of variance 1, move it (6, P).
+        """Pose error by the images (6, 6), and by unit errors of map and rig (6, P).
 
         G = (Omega^-1)_pose A^T W / factor,   image = factor G R G^T (+ what the limit on large variances adds),   moved = G N
-        Directions that are not measured have 1 / share times the prior's variance, and no error of map and rig moves them.
+        Open directions have 1 / share times the prior's variance, and no error of map and rig.
         """
         floor, inverse = self._floor(), self._inverse(omega, factor)
         image = inverse[:POSE] @ floor @ inverse[:POSE]  # what the floor adds
@@ -72,13 +70,13 @@ class Measured:
         return through @ image @ through.T + open_ways @ open_ways.T / _LEAST_SHARE, through @ moved
 
     def moved_by(self, system: System, omega: Array, factor: float, own: Array) -> Array:
-        """G_e B_e (E, 6, c): how c errors of variance 1 that each edge has of its own, B own (E, M, c), move the pose."""
+        """G_e B_e (E, 6, c): effect on the pose of c unit errors of each edge, B own (E, M, c)."""
         seen = system.A @ self._inverse(omega, factor)
         moved = seen.transpose(0, 2, 1) @ (system.W @ own) / factor
         return np.asarray(moved if self.rank == POSE else self.through @ moved)
 
     def _inverse(self, omega: Array, factor: float) -> Array:
-        """The pose's columns (6 + P, 6) of (Omega / factor)^-1, the priors of map and rig and the limits as they are."""
+        """Pose columns (6 + P, 6) of (Omega / factor)^-1, priors and limits unscaled."""
         limited = omega / factor
         limited[:POSE, :POSE] += self._floor()
         rest = np.arange(POSE, len(omega))
@@ -87,22 +85,19 @@ class Measured:
 
     @property
     def through(self) -> Array:
-        """L^-T U_k U_k^T L^T (6, 6): what is left of an error without the directions that are not measured; D through = D."""
+        """L^-T U_k U_k^T L^T (6, 6): projection on measured directions; D through = D."""
         kept = self.basis[:, : self.rank]
         return np.asarray(np.linalg.solve(self.low.T, kept @ kept.T) @ self.low.T, dtype=np.float64)
 
     def _floor(self) -> Array:
-        """Information added so that there is an inverse: limits of a whole fix, or what directions lack that are not measured."""
+        """Added information for invertibility: limits of a whole fix, or open directions."""
         if self.rank == POSE:
             return np.diag([_WIDEST_M**-2] * 3 + [_WIDEST_RAD**-2] * 3)
         rest = self.low @ self.basis[:, self.rank :]
         return (rest * (_LEAST_SHARE - self.share[self.rank :])) @ rest.T
 
     def alone(self, delta: Array, covariance: Array) -> Array:
-        """z (-) x0 = delta + C Lambda_0 delta, delta (6,) of the joint optimum: the reading that leads there from the prior.
-
-        Directions that are not measured keep delta alone.
-        """
+        """z (-) x0 = delta + C Lambda_0 delta, delta (6,) of the joint optimum; open directions keep delta."""
         values, vectors = np.linalg.eigh(self.low.T @ covariance @ self.low)  # C in units of the prior's
         values[self.rank :] = 0.0
         white = vectors @ (values * (vectors.T @ (self.low.T @ delta)))
@@ -110,9 +105,9 @@ class Measured:
         return step
 
     def surprise(self, delta: Array, covariance: Array, limit: float) -> float:
-        """Chi-square of the reading against the prior, over limit: nu^T (P_0 + C)^-1 nu, nu = (P_0 + C) Lambda_0 delta.
+        """Chi-square of the reading against the prior over limit: nu^T (P_0 + C)^-1 nu, nu = (P_0 + C) Lambda_0 delta.
 
-        limit: of six degrees of freedom; of fewer it is the one that as many consistent readings stay below.
+        limit: for six degrees of freedom; fewer use the same quantile.
         """
         if self.rank < POSE:
             delta, limit = self.through @ delta, _same_quantile(limit, self.rank)
@@ -122,7 +117,7 @@ class Measured:
 
 @njit(cache=True)
 def _white(omega: Array, low: Array) -> Array:
-    """L^-1 Lambda_I L^-T (6, 6): what images say of the pose alone, in units of the prior's information L L^T.
+    """L^-1 Lambda_I L^-T (6, 6), in units of the prior's information L L^T.
 
     Lambda_I = Omega_pp - B^T B,   B = F^-1 Omega_np,   Omega_nn = F F^T
     """
@@ -143,9 +138,9 @@ def _white(omega: Array, low: Array) -> Array:
 
 @njit(cache=True)
 def _add_covariances(A: Array, W: Array, R: Array, inverse: Array, factor: float, image: Array) -> Array:
-    """moved (6, P) of Measured.covariances where all directions are measured, and G R G^T added to image (6, 6), in place.
+    """moved (6, P) where all directions are measured; G R G^T added to image (6, 6), in place.
 
-    inverse (6 + P, 6): the pose's columns of Omega^-1.
+    inverse (6 + P, 6): pose columns of Omega^-1.
     """
     edges, numbers, size = A.shape
     seen, gain, moved = np.empty((numbers, POSE)), np.empty((numbers, POSE)), np.zeros((POSE, size - POSE))  # A Omega^-1, G^T
@@ -174,7 +169,6 @@ def _add_covariances(A: Array, W: Array, R: Array, inverse: Array, factor: float
 
 @njit(cache=True)
 def _of_pose(omega: Array) -> Array:
-    """The pose's columns (n, 6) of Omega^-1."""
     low, columns = np.empty_like(omega), np.zeros((len(omega), POSE))
     for k in range(POSE):
         columns[k, k] = 1.0
@@ -186,7 +180,7 @@ def _of_pose(omega: Array) -> Array:
 
 
 def _same_quantile(limit: float, dof: int) -> float:
-    """What chi-square of dof stays below as often as chi-square of six below limit: (chi2 / n)^(1/3) ~ N(1 - 2 / 9n, 2 / 9n)."""
+    """Limit for dof with the same quantile as `limit` for six: (chi2 / n)^(1/3) ~ N(1 - 2 / 9n, 2 / 9n)."""
     six, other = 2.0 / (9.0 * POSE), 2.0 / (9.0 * dof)
     z = ((limit / POSE) ** (1.0 / 3.0) - 1.0 + six) / math.sqrt(six)
     return float(dof * max(1.0 - other + z * math.sqrt(other), 0.0) ** 3)

@@ -1,9 +1,8 @@
-"""Joint least squares of the pose and of what else may be wrong, on edges that do not disturb each other.
+"""Joint least squares of pose and nuisances on independent edges.
 
     Omega = sum_e A_e^T W_e A_e + diag(0, I),   eta = sum_e A_e^T W_e (z_e + N_e nu_0),   A = (H, N),  W_e = R_e^-1
 
-nu has unit variance by construction, nu_0 is what the drawn outlines contain of it already. The prior of the pose is added to
-solve, and left out of what is reported: information of the images alone.
+nu has unit variance, nu_0 is drawn already. The pose's prior is used to solve, not reported.
 """
 
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ _LEAST_SCALE = 0.5
 
 @dataclass(frozen=True, slots=True)
 class System:
-    """E edges of M lines' numbers each: z (E, M) px, A (E, M, 6 + P), R and W = R^-1 (E, M, M), W 0 where nothing was found."""
+    """z (E, M) px, A (E, M, 6 + P), R and W = R^-1 (E, M, M), W 0 where nothing was found."""
 
     z: Array
     A: Array
@@ -42,13 +41,13 @@ class System:
 
     @property
     def count(self) -> int:
-        """Lines that carry information."""
+        """Number of informative lines."""
         return int(np.count_nonzero(self.W[:, ::2, ::2].diagonal(axis1=1, axis2=2)))
 
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """dx (6,), nuisances (P,) as they now are, information omega (6 + P, 6 + P) without the pose's prior, residual (E, M)."""
+    """dx (6,), nuisances (P,), omega (6 + P, 6 + P) without the pose's prior, residual (E, M)."""
 
     dx: Array
     nuisance: Array
@@ -63,10 +62,7 @@ def solve(system: System, present: Array, information: Array, delta: Array) -> S
 
 
 def solve_robustly(system: System, present: Array, information: Array, delta: Array) -> Solution:
-    """The same, iteratively reweighted by edges: Huber first, then Tukey, their scale by the median edge.
-
-    An edge caught by a shadow or a neighbour is an outlier as a whole.
-    """
+    """Iteratively reweighted by whole edges: Huber, then Tukey, scale by the median edge."""
     solution, omega, residual = _robust_step(system.A, system.W, system.z, present, information, delta)
     return Solution(solution[:POSE], solution[POSE:], omega, residual)
 
@@ -106,7 +102,6 @@ def _step(A: Array, W: Array, z: Array, present: Array, information: Array, delt
 
 @njit(cache=True)
 def _found(W: Array) -> Indices:
-    """The edges (F,) that carry information."""
     found, count = np.empty(len(W), np.int64), 0
     for e in range(len(W)):
         if nonzero(W[e]):
@@ -127,8 +122,8 @@ def nonzero(matrix: Array) -> bool:
 
 @njit(cache=True)
 def _normal_equations(A: Array, W: Array, z: Array, present: Array, found: Indices) -> tuple[Array, Array, Indices, Indices]:
-    """A_e^T W_e A_e (F, S, S), the upper half, and A_e^T W_e (z_e + N_e nu_0) (F, S) of the edges found, in those columns (F, S)
-    of A that are not 0, and how many these are (F,): an edge depends on the map errors of its own landmark only.
+    """A_e^T W_e A_e (F, S, S), upper half, and A_e^T W_e (z_e + N_e nu_0) (F, S) of found edges in nonzero columns (F, S), their
+    number (F,): an edge depends on its own landmark's map errors only.
     """
     rows, columns = A.shape[1], A.shape[2]
     column, count, most = np.empty((len(found), columns), np.int64), np.zeros(len(found), np.int64), 0
@@ -167,7 +162,7 @@ def _normal_equations(A: Array, W: Array, z: Array, present: Array, found: Indic
 def _solved(
     normal: Array, right: Array, column: Indices, count: Indices, present: Array, information: Array, delta: Array, weight: Array
 ) -> tuple[Array, Array]:
-    """Pose and nuisances (6 + P,), and information without the pose's prior; weight (F,) of the edges found."""
+    """Pose and nuisances (6 + P,), information without the pose's prior; weight (F,) of found edges."""
     columns = POSE + len(present)
     omega, eta = np.zeros((columns, columns)), np.zeros(columns)
     for f in range(len(normal)):
@@ -195,7 +190,7 @@ def _solved(
 
 @njit(cache=True)
 def _residual(A: Array, z: Array, present: Array, solution: Array, found: Indices, column: Indices, count: Indices) -> Array:
-    """Residuals (E, M) after the step; of edges that carry no information z."""
+    """Residuals (E, M) after the step; of edges without information z."""
     change, residual = solution.copy(), z.copy()
     for k in range(len(present)):
         change[POSE + k] -= present[k]
@@ -208,7 +203,6 @@ def _residual(A: Array, z: Array, present: Array, solution: Array, found: Indice
 
 @njit(cache=True)
 def _inverse(R: Array, found: NDArray[np.bool_]) -> Array:
-    """R^-1 (E, M, M) of the numbers that were found (E, M), 0 elsewhere."""
     inverse, numbers = np.zeros(R.shape), R.shape[1]
     some, part = np.empty(numbers, np.int64), np.empty((numbers, numbers))
     for e in range(len(R)):
@@ -242,7 +236,6 @@ def _distances(W: Array, residual: Array) -> Array:
 
 @njit(cache=True)
 def _distance(W: Array, r: Array) -> float:
-    """r^T W r."""
     total = 0.0
     for i in range(len(r)):
         for j in range(len(r)):

@@ -1,4 +1,4 @@
-"""One observation of the images: from the present pose and map errors to lines of edges and their Jacobians.
+"""From pose and map errors to edge lines and Jacobians.
 
 line = H dx + N nu + e      (offset and tilt of every edge in every image; nu of unit variance: errors of map and rig)
 """
@@ -61,12 +61,11 @@ class ObservationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What one observation gave, of E edges in K images; a small landmark's sides are one edge, the first of them.
+    """One observation of E edges in K images; a small landmark is one edge, its first.
 
-    block: (N,) of the samples, the edge each belongs to; kind: (E,) Kind; line: (E, K, 2) px; found: (E, K); A: (E, K, 2, 6 + P),
-    how lines depend on the pose, H, and on errors of map and rig, N; opened: (K, E) px^2, what gaps leave open of the offsets;
-    cornered: (E, K) px, standard deviation of offset and of tilt by the errors of the outline's single corners;
-    lines: of each image; usable: points in view, of all images.
+    block: (N,) edge of each sample; kind: (E,) Kind; line: (E, K, 2) px; found: (E, K); A: (E, K, 2, 6 + P) by pose (H) and map
+    and rig (N); opened: (K, E) px^2 left by gaps; cornered: (E, K) px, sigma by corner errors; lines: of each image; usable:
+    points in view.
     """
 
     edges: ModelEdges
@@ -83,12 +82,12 @@ class Observation:
 
     @property
     def share(self) -> float:
-        """Of the points in view, of all images, that was found."""
+        """Found share of the points in view, all images."""
         return sum(float(line.points.sum()) for line in self.lines) / max(self.usable, 1)
 
     @property
     def numbers(self) -> int:
-        """Directions that are measured, over all images: a small landmark has two, an edge the one across it."""
+        """Measured directions over all images: two of a small landmark, one of an edge."""
         return int(self.found.sum() + self.found[self.kind == Kind.SMALL].sum())
 
     def off(self, line: Array) -> Array:
@@ -97,7 +96,7 @@ class Observation:
         return np.asarray(np.hypot(line[..., 0], aside))
 
     def within(self, off_px: Array, farthest_px: float) -> "Observation":
-        """Without the edges whose offset (E, K) px is more than farthest_px."""
+        """Without edges of offset (E, K) px beyond farthest_px."""
         found = self.found & (np.abs(off_px) <= farthest_px)
         lines = [line.only(near, self.block) for line, near in zip(self.lines, found.T, strict=True)]
         return replace(self, lines=lines, found=found)
@@ -109,7 +108,7 @@ class Observation:
 
 
 class Scene:
-    """What does not change between observations: images, cameras, landmarks, and how wrong map and rig may be."""
+    """Constants: images, cameras, landmarks, errors of map and rig."""
 
     def __init__(self, rig: StereoRig, views: Sequence[Image | None], landmarks: Sequence[Landmark]) -> None:
         self.rig, self.prisms = rig, Prisms.of(landmarks)
@@ -142,9 +141,9 @@ class Scene:
         search_px: int = 0,
         farthest_px: float = 0.0,
     ) -> Observation:
-        """Search roof edges within search_px, or (0) fit all edges that are not farther off than farthest_px.
+        """Search roof edges within search_px, or (0) fit edges within farthest_px.
 
-        shift_m (L, M), rig: present estimates of errors of map and rig.
+        shift_m (L, M), rig: estimated errors of map and rig.
         """
         shown = [(eye, image) for eye, image in zip(eyes(rig), self.images, strict=False) if image is not None]
         prisms, edges = self.prisms.moved(shift_m), visible_edges(self.prisms, shown[0][0].pose(p_n, R_nb)[0], shift_m)
@@ -177,7 +176,7 @@ class Scene:
         return Observation(edges, samples, block[samples.edge], kind, lines, line_all, found, A, opened, cornered, points)
 
     def _roots(self, *, right: bool) -> Roots:
-        """Roots of the covariances of camera on body, right against left, this camera's own; columns before these last ones."""
+        """Roots of covariances: camera on body, right against left, own; columns before the last."""
         bc, rc, left, own_right = self.rig_roots
         return bc, rc, own_right if right else left, left.shape[1] if right else 0
 
@@ -187,12 +186,10 @@ def _observed(
     farthest: float, least: int, own: int, levers: tuple[Array, Array], right: bool, on_map: tuple[Array, Indices], roots: Roots,
     k: int, A: Array, opened: Array,
 ) -> Seen:  # fmt: skip
-    """The fields of EdgeLines of image k, how many samples are usable, px (E,) by which offsets grow with a metre of the outline;
-    fills A (E, K, 2, 6 + P) and opened (K, E) px^2.
+    """Fields of EdgeLines of image k, usable samples, px (E,) per metre of growth; fills A (E, K, 2, 6 + P), opened (K, E) px^2.
 
-    drawn: ModelEdges; on_edges: Samples, their blocks, and which are of small landmarks; bodies: Prisms; stand: as Eye.stand;
-    search: half its width, px, 0: a sub-pixel fit; own: parameters of the camera that may be wrong; levers: p_bc, t_rc; on_map,
-    roots: as _dependence.
+    drawn: ModelEdges; on_edges: Samples, blocks, of small landmarks; bodies: Prisms; stand: Eye.stand; search: half width, px, 0:
+    sub-pixel fit; own: camera parameters; levers: p_bc, t_rc; on_map, roots: as _dependence.
     """
     start, end, landmark, kind, partner, raised, map_start, map_end = drawn
     points, t, edge, tau, block, of_small = on_edges
@@ -222,7 +219,6 @@ def _observed(
 
 @njit(cache=True)
 def _regressors(tau: Array, normal: Array, of_small: Mask) -> Array:
-    """(N, 2): 1 and tau of points of edges, the normals of those of small landmarks."""
     x = np.empty(normal.shape)
     for i in range(len(tau)):
         x[i, 0] = normal[i, 0] if of_small[i] else 1.0
@@ -235,10 +231,10 @@ def _dependence(
     A: Array, image: int, gain: Array, rows: Array, own: Array, edge: Indices, landmark: Indices, map_sigma: Array,
     map_column: Indices, bc: Array, rc: Array, own_root: Array, own_skipped: int,
 ) -> None:  # fmt: skip
-    """Fill A (E, K, 2, 6 + P) of one image: by the pose, by errors of map and rig in units of their standard deviations.
+    """Fill A (E, K, 2, 6 + P) of one image by pose, and errors of map and rig in sigmas.
 
-    rows (N, 18 + M), own (N, 4 + n): Derivatives of the points, gain (N, 2): from points to lines; map_column (L M,): where in P
-    errors of the map stand, -1: exact; then follow those of camera on body, right against left camera, left and right camera.
+    rows (N, 18 + M), own (N, 4 + n): Derivatives; gain (N, 2): points to lines; map_column (L M,): columns of map errors, -1:
+    exact; then camera on body, right against left, left and right camera.
     """
     by_line, by_own = compress(gain, rows, edge, len(A)), compress(gain, own, edge, len(A))
     errors = map_sigma.shape[1]
@@ -271,19 +267,18 @@ def _through(rows: Array, first: int, root: Array, A: Array, image: int, at: int
 
 
 def _sigmas(mark: Landmark) -> tuple[float, ...]:
-    """Of each MapError. A roof is level; ground that a mark is painted on may slope as it may be too high."""
     ground = mark.height_sigma_m if mark.height_m == 0.0 else 0.0
     return mark.sigma_m, mark.sigma_m, mark.height_sigma_m, mark.outline_sigma_m, ground, ground
 
 
 def channels(image: Image) -> Image:
-    """(H, W, C), writable, for which the kernels are compiled."""
+    """(H, W, C), writable, as compiled."""
     return np.require(image if image.ndim == 3 else image[:, :, None], np.uint8, ["C", "W"])
 
 
 @lru_cache(maxsize=8)
 def _rig_roots(rig: StereoRig) -> tuple[Array, Array, Array, Array]:
-    """Roots of the covariances of camera on body, right against left camera, left and right camera's own; once a rig."""
+    """Covariance roots: camera on body, right against left, left and right camera; once a rig."""
     return _root(rig.covariance_bc), _root(rig.covariance_rc), _root(rig.left.covariance), _root(rig.right.covariance)
 
 
@@ -301,8 +296,8 @@ def distance_from_roof(
     image: Image, px: Array, normal: Array, seen: Mask, edge: Indices, kind: Indices, raised: Mask, landmark: Indices,
     partner: Indices, ends: Array, half: int,
 ) -> tuple[Array, Mask, Mask]:  # fmt: skip
-    """How far from the roof's colour profiles (N, 2 half + 1) across roof edges are, usable samples (N,), and those of them that
-    something covers (N,); ends (2 E, 2) px of the edges.
+    """Distance of roof-edge profiles (N, 2 half + 1) from the roof's colour, usable and covered samples (N,); ends (2 E, 2) px of
+    the edges.
     """
     roof = kind == _ROOF
     usable = seen & ~edge_search.crossed(px, normal, edge, partner, ends[: len(kind)], ends[len(kind) :], _SEARCH_BESIDE_PX)
@@ -317,9 +312,9 @@ def _roof_beside(
     image: Image, values: Array, px: Array, normal: Array, edge: Indices, landmark: Indices, roof: Mask, raised: Mask, half: int,
     usable: Mask,
 ) -> Array:  # fmt: skip
-    """Colour (N, C) of the roof beside each sample, from profiles of half width half and what lies farther inside.
+    """Roof colour (N, C) beside each sample, profiles of half width half and farther inside.
 
-    What is painted on the ground has no slopes in other light; farther inside there is other paint.
+    Painted marks have no slopes, and other paint inside.
     """
     inside = usable & (roof & raised)[edge]
     interior = profiles.profiles(image, px - (half + _DEEPER_PX) * normal, normal, _INTERIOR_HALF_PX, 1.0, 3, inside)
@@ -330,7 +325,7 @@ def _fit_steps(
     image: Image, px: Array, normal: Array, seen: Mask, edge: Indices, kind: Indices, raised: Mask, landmark: Indices,
     partner: Indices, ends: Array, gap: Array, half: int, farthest: float,
 ) -> tuple[Array, Mask, Array]:  # fmt: skip
-    """Offsets (N,) px by sub-pixel fits, usable samples (N,), and the variance (E,) px^2 that walls and saturation leave."""
+    """Sub-pixel offsets (N,) px, usable samples (N,), variance (E,) px^2 by walls and saturation."""
     count, roof, reach = len(kind), kind == _ROOF, half + _BESIDE_PX
     near = np.abs(gap) < reach  # base edges there are fitted along with the roof edge
     usable = seen & ~edge_search.crossed(px, normal, edge, partner, ends[:count], ends[count:], reach)

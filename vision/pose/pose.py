@@ -1,15 +1,10 @@
-"""Six-degree-of-freedom pose from identified landmarks: Gauss-Newton on the outlines' edges in one or two images.
+"""Six-degree-of-freedom pose from landmarks: Gauss-Newton on outline edges (docs/vision_pose.md).
 
     r = H dx + N nu + e,     dx = (dp_n, dtheta_n),   R_true = exp(dtheta) R          (thesis eq. 3.84-3.92, Table 1; Lowe 1985)
+    z = x0 (+) (delta + C Lambda_0 delta),   delta = x_joint (-) x0,   C^-1 = H^T (R + N N^T)^-1 H
 
-r: offset and tilt of every edge in every image; nu: errors of map and rig with their own priors, estimated along, so that
-landmarks whose map errors are independent are weighed rightly. The prior picks the mode and is where the equations are
-linearised, but what is reported is the information of the images alone: the measurement z which, fused with this prior, gives
-the joint optimum,
-
-    z = x0 (+) (delta + C Lambda_0 delta),   delta = x_joint (-) x0,   C^-1 = H^T (R + N N^T)^-1 H,
-
-or of those directions in which they say anything (information.py).
+r: offsets and tilts; nu: errors of map and rig, with priors. Reported is the images' own measurement z which with the prior gives
+the joint optimum, or its measured directions (information.py).
 """
 
 import math
@@ -68,7 +63,7 @@ class PoseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, slots=True)
 class NoPose:
-    """Why there is no pose."""
+    """Reason for no pose."""
 
     reason: str  # no_image | too_few_edges | not_found | residual | diverged | ambiguous
     detail: str = ""
@@ -76,16 +71,13 @@ class NoPose:
 
 @dataclass(frozen=True, slots=True)
 class PoseEstimate:
-    """A pose from the images alone, and what it comes to with the prior.
+    """A pose from the images alone, and its posterior with the prior.
 
-    p_n, R_nb: the measurement z; covariance (6, 6): its error that is new in every image; covariance_common (6, 6): the part
-    that map and rig repeat; both order x y z rx ry rz in NED axes. landmark_errors (L, 6, M): how the errors of each landmark,
-    of variance 1, move the pose; covariance_rig: what is left of the common part. joint_*: posterior of prior and images.
-    directions (r, 6), readings (r,): where the images leave a direction open, what they measured and from where p_n, R_nb, the
-    joint optimum, it reads (LandmarkFix); None: p_n, R_nb.
-    residual_px: RMS of the edges' offsets; factor: measured over expected variance of the residuals; found: share of
-    the outline in view that was found; edges: lines used, over all images; shift_m: (L, M) estimated map errors
-    (MapError); cost: chi-square of all residuals and of the prior's.
+    p_n, R_nb: z; covariance (6, 6): new in every image; covariance_common (6, 6): by map and rig; order x y z rx ry rz, NED.
+    landmark_errors (L, 6, M): effect of unit errors; covariance_rig: the rest. joint_*: posterior. directions (r, 6), readings
+    (r,): measured ones and their readings from p_n, R_nb, the joint optimum (LandmarkFix); None: all. residual_px: RMS offset;
+    factor: measured over expected variance; found: share of the outline; edges: lines used; shift_m: (L, M) estimated map errors;
+    cost: chi-square of residuals and prior.
     """
 
     p_n: Array
@@ -108,7 +100,7 @@ class PoseEstimate:
 
 
 class _Fit:
-    """What an estimation changes on its way: pose and map errors; and the prior it is held by."""
+    """Variables of an estimation: pose and map errors; its prior."""
 
     def __init__(self, scene: Scene, start: Pose, prior: Prior, shift_m: Array | None) -> None:
         self.scene, self.prior = scene, prior
@@ -125,9 +117,9 @@ class _Fit:
         return np.asarray(_difference(self.p_n, self.R_nb, self.p0, self.q0))
 
     def turned(self, seen: Observation) -> Array:
-        """(E, K, 2, T) as Observation.A: round landmarks turned about their middles by any angle, which nobody sees.
+        """(E, K, 2, T) as Observation.A: unobservable turns of round landmarks about their middles.
 
-        To turn one is to turn the vehicle about it, the other way: dtheta = e_d, dp = e_d x (p - c).
+        Equivalent to a turn of the vehicle: dtheta = e_d, dp = e_d x (p - c).
         """
         columns = np.zeros((*seen.line.shape, len(self.round)))
         for k, (mark, centre) in enumerate(self.round):
@@ -136,7 +128,7 @@ class _Fit:
         return columns
 
     def present(self, count: int) -> Array:
-        """The unit-variance nuisances (count,) that the drawn outlines contain: map, camera poses; the cameras' own are 0."""
+        """Unit-variance nuisances (count,) drawn already: map, camera poses; cameras 0."""
         used = self.scene.map_used
         mapped: Array = self.shift_m.ravel()[used] / self.scene.map_sigma.ravel()[used]
         if count == len(used):  # a search knows no rig errors
@@ -156,7 +148,7 @@ class _Fit:
         return step(system, self.present(system.A.shape[2] - POSE), self.information, self.delta())
 
     def move(self, step: Solution) -> None:
-        """Retract: p + dp, exp(dtheta) R, and the errors of map and camera poses as solved for."""
+        """Retract: p + dp, exp(dtheta) R, errors of map and camera poses."""
         self.p_n = self.p_n + step.dx[:3]
         self.R_nb = _turned(self.R_nb, step.dx[3:])
         used = self.scene.map_used
@@ -170,7 +162,6 @@ class _Fit:
 
 @njit(cache=True)
 def _turned(R: Array, dtheta: Array) -> Array:
-    """exp(dtheta) R."""
     return so3.matrix(so3.normalise(so3.multiply(so3.quat_exp(dtheta), so3.from_matrix(R))))
 
 
@@ -178,10 +169,9 @@ def estimate_pose(
     rig: StereoRig, views: Sequence[Image | None], landmarks: Sequence[Landmark], start: Pose, prior: Prior,
     config: PoseConfig | None = None, shift_m: Array | None = None,
 ) -> PoseEstimate | NoPose:  # fmt: skip
-    """Pose of the body from landmarks identified in views (left, right; None = not there), or why there is none.
+    """Body pose from landmarks in views (left, right; None: missing), or why none.
 
-    start: p_n, R_nb near enough that every outline lies within the first window of its edges; shift_m: (L, M) what is known
-    so far of the map's errors (MapError).
+    start: p_n, R_nb, outlines within their edges' first window; shift_m: (L, M) known map errors.
     """
     config = config or PoseConfig()
     scene = Scene(rig, views, landmarks)
@@ -196,7 +186,6 @@ def estimate_pose(
 def _decided(
     scene: Scene, start: Pose, prior: Prior, shift_m: Array | None, config: PoseConfig, landmarks: Sequence[Landmark]
 ) -> PoseEstimate | NoPose:
-    """The pose from a start, or another one that shows the same images better; none where nothing decides between them."""
     found = _estimate(scene, start, prior, shift_m, config)
     if isinstance(found, NoPose):
         return found
@@ -214,20 +203,18 @@ def _decided(
 
 
 def _may_be(other: Pose, found: PoseEstimate, prior: Prior, information: Array, config: PoseConfig) -> bool:
-    """Whether the prior, of information (6, 6), allows another pose nearly as well as the one found."""
+    """Whether the prior, information (6, 6), nearly allows another pose."""
     q0 = np.asarray(prior.q_nb_wxyz, dtype=float)
     ours, theirs = difference(found.joint_p_n, found.joint_R_nb, prior.p_n, q0), difference(*other, prior.p_n, q0)
     return bool(theirs @ information @ theirs < ours @ information @ ours + 2.0 * config.decided)
 
 
 def _apart(rival: PoseEstimate, found: PoseEstimate) -> bool:
-    """Whether two poses are two: farther from each other than the uncertainty of the one found."""
     between = difference(rival.joint_p_n, rival.joint_R_nb, found.joint_p_n, so3.from_matrix(found.joint_R_nb))
     return bool(between @ np.linalg.solve(found.joint_covariance, between) > _APART)
 
 
 def _estimate(scene: Scene, start: Pose, prior: Prior, shift_m: Array | None, config: PoseConfig) -> PoseEstimate | NoPose:
-    """Searches, robust fits and the final one, from a start."""
     fit = _Fit(scene, start, prior, shift_m)
     near = False
     for half in config.observation.search_px:
@@ -266,12 +253,11 @@ def _estimate(scene: Scene, start: Pose, prior: Prior, shift_m: Array | None, co
 
 
 def _rms(values: Array) -> float:
-    """Root of the mean square of values (N,)."""
     return float(np.sqrt(np.mean(values**2)))
 
 
 def _bend_px(seen: Observation, dx: Array) -> float:
-    """What a linear step leaves out: |dtheta x dp| / 2, in px. Only the last covariances tell how far weak directions go."""
+    """|dtheta x dp| / 2, in px, omitted by a linear step; only the last covariances give weak directions' range."""
     square = np.sum(seen.A[:, :, 0, :3] ** 2, axis=2)[seen.found].max(initial=0.0)
     return float(0.5 * np.sqrt(square * np.sum(np.cross(dx[3:], dx[:3]) ** 2)))
 
@@ -283,7 +269,7 @@ def _not_enough(seen: Observation, config: PoseConfig) -> NoPose | None:
 
 
 def _system(seen: Observation, R: Array, *more: Array) -> System:
-    """Edges of all images as blocks; R: (E, K, 2, K, 2); more: (E, K, 2, T) unknowns beside those of the observation."""
+    """Edges of all images as blocks; R: (E, K, 2, K, 2); more: (E, K, 2, T) further unknowns."""
     edges, images = seen.found.shape
     rows = 2 * images
     A = (np.concatenate((seen.A, *more), axis=3) if more else seen.A).reshape(edges, rows, -1)
@@ -291,7 +277,6 @@ def _system(seen: Observation, R: Array, *more: Array) -> System:
 
 
 def _robust_step(fit: _Fit, seen: Observation, common_px: float) -> Solution:
-    """With a rough covariance, edges reweighted."""
     edges, images = seen.found.shape
     R = np.zeros((edges, images, 2, images, 2))
     for k, line in enumerate(seen.lines):
@@ -303,7 +288,6 @@ def _robust_step(fit: _Fit, seen: Observation, common_px: float) -> Solution:
 
 
 def _final_step(fit: _Fit, seen: Observation, config: PoseConfig) -> tuple[System, Solution]:
-    """With the lines' own covariance; edges that do not fit are left out one after the other."""
     own = by_corners(seen.cornered)
     covariance = line_covariance(seen.lines, seen.block, seen.kind, seen.opened, config.noise)
     R = covariance + (own @ own.transpose(0, 2, 1)).reshape(covariance.shape)
@@ -359,10 +343,7 @@ def _report(fit: _Fit, seen: Observation, system: System, step: Solution, config
 
 
 def _separated(moved: Array, fit: _Fit) -> tuple[Array, Array]:
-    """What moves the pose (6, P), by landmark (L, 6, M), MapError in columns, and by the rig (6, the rest).
-
-    With round landmarks there is one column more, their turns.
-    """
+    """Effects on the pose (6, P) by landmark (L, 6, M), and rig; round landmarks add a column, their turns."""
     sigma, used, turns = fit.scene.map_sigma, fit.scene.map_used, len(fit.round)
     by_landmark = np.zeros((sigma.size, POSE))
     by_landmark[used] = moved[:, : len(used)].T
@@ -400,7 +381,7 @@ def retract(p_n: Array, q_nb: Array, step: Array) -> Pose:
 def combine(
     prior: Prior, p_n: Array, R_nb: Array, covariance: Array, directions: Array | None = None, readings: Array | None = None
 ) -> tuple[Array, Array, Array]:
-    """Prior and a measurement fused: p_n, R_nb and covariance (6, 6) of the posterior; directions D, readings y: as LandmarkFix.
+    """Prior and measurement fused: p_n, R_nb, covariance (6, 6); directions D, readings y as LandmarkFix.
 
     P = (P_0^-1 + C^-1)^-1,  x = x0 (+) P C^-1 (z (-) x0)
     P = P_0 - K D P_0,  x = x0 (+) K (D (z (-) x0) + y),  K = P_0 D^T (D (P_0 + C) D^T)^-1        along D

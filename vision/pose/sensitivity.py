@@ -1,12 +1,11 @@
-"""How the image of a point moves with the pose, the map and the rig, seen along the outline's normal.
+"""Motion of an image point with pose, map and rig, along the outline's normal.
 
     x_c = R_nc^T (X - p_nc),   R_nc = R_nb R_bc,   p_nc = p + R_nb p_bc
     dx_c = R_nc^T (-dp + [X - p]x dtheta + dX)                  pose (R_true = exp(dtheta) R) and map point
          + R_bc^T (-dt_bc + [x_b - p_bc]x dtheta_bc)            camera on the body
     dx_r = R_rc dx_c + dt_rc - [R_rc x_c]x dtheta_rc            right camera
 
-A row is n . du/d(unknown) [px per unit]: the thesis' Table 1 (after Lowe), for any camera model and with
-all that else may be wrong.
+A row is n . du/d(unknown) [px per unit] (thesis, Table 1, for any camera).
 """
 
 from collections.abc import Sequence
@@ -32,9 +31,7 @@ _FEW, _CLOSEST_PX = 7, 3.0  # short edges get so many points, unless they came c
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """Points on model edges: points_n (N, 3) m, position t (N,) in 0 ... 1 and edge (N,) index; tau (N,): their position in -1
-    ... 1 of what is in view of the edge.
-    """
+    """points_n (N, 3) m, t (N,) in 0 ... 1, edge (N,); tau (N,): -1 ... 1 over the visible part."""
 
     points_n: Array
     t: Array
@@ -44,7 +41,7 @@ class Samples:
 
 @dataclass(frozen=True, slots=True)
 class EdgeView:
-    """Samples in one image: px (N, 2), unit normal (N, 2), row_c (N, 3) = n . du/dx_camera, x_c (N, 3) in this camera."""
+    """Samples in one image: px (N, 2), unit normal (N, 2), row_c (N, 3) = n . du/dx_camera, x_c (N, 3)."""
 
     px: Array
     normal: Array
@@ -55,7 +52,7 @@ class EdgeView:
 
 @dataclass(frozen=True, slots=True)
 class Eye:
-    """One camera of the rig: its model and its pose from the body, x_k = R_kb (x_b - p_bk)."""
+    """A camera's model and its pose from the body, x_k = R_kb (x_b - p_bk)."""
 
     camera: CameraModel
     R_kb: Array
@@ -68,13 +65,12 @@ class Eye:
         return placed
 
     def stand(self, p_n: Array, R_nb: Array) -> tuple[Array, Array, Array, Array]:
-        """p_n, R_nb, p_bk, R_kb, from which kernels tell the pose."""
+        """p_n, R_nb, p_bk, R_kb for kernels."""
         return np.ascontiguousarray(p_n), np.ascontiguousarray(R_nb), self.p_bk, self.R_kb
 
 
 @njit(cache=True)
 def _placed(p_n: Array, R_nb: Array, p_bk: Array, R_kb: Array) -> tuple[Array, Array]:
-    """p + R p_bk, R R_kb^T."""
     R_nk = np.empty((3, 3))
     for i in range(3):
         for k in range(3):
@@ -98,7 +94,7 @@ def eyes(rig: Mount) -> tuple[Eye, Eye]:
 def sample_edges(
     edges: ModelEdges, eye: Eye, p_n: Array, R_nb: Array, spacing_px: float, most: int, wanted: Mask | None = None
 ) -> Samples:
-    """Points on what `eye` has in view of every (wanted) edge, about spacing_px apart in the image, at most `most` on one."""
+    """Points on visible parts of (wanted) edges, spacing_px apart, `most` per edge."""
     chosen = np.ones(len(edges.kind), dtype=np.bool_) if wanted is None else wanted
     camera, borders = eye.camera.parameters, _borders(eye.camera)
     return Samples(*_sampled(edges.start_n, edges.end_n, *eye.stand(p_n, R_nb), camera, borders, spacing_px, most, chosen))
@@ -109,20 +105,19 @@ def _sampled(
     start: Array, end: Array, p_n: Array, R_nb: Array, p_bk: Array, R_kb: Array, camera: Array, borders: Array, spacing: float,
     most: int, wanted: Mask,
 ) -> tuple[Array, Array, Indices, Array]:  # fmt: skip
-    """The fields of Samples."""
     p_nk, R_nk = _placed(p_n, R_nb, p_bk, R_kb)
     part, ends_c = _cut(start, end, p_nk, R_nk, borders)
     return _spread(start, end, part, project(ends_c, camera), spacing, most, wanted)
 
 
 def part_in_view(eye: Eye, start_n: Array, end_n: Array, pose: tuple[Array, Array]) -> Array:
-    """From where to where (E, 2), of 0 ... 1, edges are in view; nowhere: the first is not smaller."""
+    """Part in view (E, 2) of 0 ... 1; none: first not smaller."""
     part, _ = _cut(start_n, end_n, *eye.pose(*pose), _borders(eye.camera))
     return part
 
 
 def ends_px(edges: ModelEdges, eye: Eye, pose: tuple[Array, Array]) -> Array:
-    """Where the ends of the edges are in the image (2 E, 2) px, first all starts, then all ends; NaN behind the camera."""
+    """Ends of edges (2 E, 2) px, starts first; NaN behind the camera."""
     return np.asarray(ends_of(edges.start_n, edges.end_n, *eye.stand(*pose), eye.camera.parameters))
 
 
@@ -139,7 +134,7 @@ def ends_of(start: Array, end: Array, p_n: Array, R_nb: Array, p_bk: Array, R_kb
 
 @lru_cache(maxsize=8)
 def _borders(camera: CameraModel) -> Array:
-    """Normals (4, 3) of the planes that hold what is in view: n . x_c >= 0."""
+    """Normals (4, 3) of the view's border planes: n . x_c >= 0."""
     u, v = camera.width - 1.0, camera.height - 1.0
     rim = [(a * u, b * v) for a in (0.0, 0.5, 1.0) for b in (0.0, 0.5, 1.0)]
     rays = camera.ray(np.array(rim))
@@ -150,9 +145,7 @@ def _borders(camera: CameraModel) -> Array:
 
 @njit(cache=True)
 def _cut(start: Array, end: Array, p_nk: Array, R_nk: Array, borders: Array) -> tuple[Array, Array]:
-    """From where to where (E, 2), of 0 ... 1, edges are on the inner side of all borders, nowhere: the first is not smaller;
-    and the ends of these parts in the camera (2 E, 3), first all starts, then all ends.
-    """
+    """Part (E, 2) of edges inside all borders (none: first not smaller), and its ends in the camera (2 E, 3), starts first."""
     count = len(start)
     part, ends_c = np.empty((count, 2)), np.empty((2 * count, 3))
     for e in range(count):
@@ -178,7 +171,6 @@ def _cut(start: Array, end: Array, p_nk: Array, R_nk: Array, borders: Array) -> 
 
 @njit(cache=True)
 def _in_camera(points: Array, p_nk: Array, R_nk: Array) -> Array:
-    """x_c (N, 3) of points (N, 3)."""
     x_c = np.empty((len(points), 3))
     for i in range(len(points)):
         _into(points[i], p_nk, R_nk, x_c[i])
@@ -187,7 +179,6 @@ def _in_camera(points: Array, p_nk: Array, R_nk: Array) -> Array:
 
 @njit(cache=True)
 def _into(X: Array, p_nk: Array, R_nk: Array, x_c: Array) -> None:
-    """x_c = R_nk^T (X - p_nk)."""
     n, e, d = X[0] - p_nk[0], X[1] - p_nk[1], X[2] - p_nk[2]
     for k in range(3):
         x_c[k] = n * R_nk[0, k] + e * R_nk[1, k] + d * R_nk[2, k]
@@ -197,7 +188,7 @@ def _into(X: Array, p_nk: Array, R_nk: Array, x_c: Array) -> None:
 def _spread(
     start: Array, end: Array, part: Array, ends_px: Array, spacing: float, most: int, wanted: Mask
 ) -> tuple[Array, Array, Indices, Array]:
-    """The fields of Samples, on the parts (E, 2) of edges whose ends lie at ends_px (2 E, 2)."""
+    """Fields of Samples on parts (E, 2) of edges with ends ends_px (2 E, 2)."""
     count = len(start)
     points, position, edge = np.empty((count * most, 3)), np.empty(count * most), np.empty(count * most, np.int64)
     tau = np.empty(count * most)
@@ -251,7 +242,6 @@ def viewed(
 
 @njit(cache=True)
 def _directions(start: Array, end: Array, R_nk: Array) -> Array:
-    """Directions (E, 3) of edges in the camera."""
     direction = np.empty((len(start), 3))
     for e in range(len(start)):
         n, east, d = end[e, 0] - start[e, 0], end[e, 1] - start[e, 1], end[e, 2] - start[e, 2]
@@ -262,7 +252,6 @@ def _directions(start: Array, end: Array, R_nk: Array) -> Array:
 
 @njit(cache=True)
 def _normal_row(jacobian: Array, direction: Array, normal: Array, row: Array) -> None:
-    """Unit normal (2,) of the image of an edge with this direction in the camera (3,), and n . du/dx_camera (3,)."""
     tu = jacobian[0, 0] * direction[0] + jacobian[0, 1] * direction[1] + jacobian[0, 2] * direction[2]
     tv = jacobian[1, 0] * direction[0] + jacobian[1, 1] * direction[1] + jacobian[1, 2] * direction[2]
     length = np.sqrt(tu * tu + tv * tv)
@@ -272,7 +261,7 @@ def _normal_row(jacobian: Array, direction: Array, normal: Array, row: Array) ->
 
 
 def edge_gaps(edges: ModelEdges, samples: Samples, seen: EdgeView, eye: Eye, p_n: Array, R_nb: Array) -> Array:
-    """Distance (E,) px along the normal, outwards, from each edge to its partner, the mean over its points; 0 without partner."""
+    """Mean distance (E,) px along the outward normal to the partner edge; 0 without."""
     return np.asarray(partners_off(
         edges.start_n, edges.end_n, edges.partner, samples.edge, samples.t, *eye.stand(p_n, R_nb), eye.camera.parameters, seen.px,
         seen.normal,
@@ -295,7 +284,7 @@ def partners_off(
 def _on_partners(
     start: Array, end: Array, partner: Indices, edge: Indices, t: Array, p_nk: Array, R_nk: Array
 ) -> tuple[Indices, Array]:
-    """The samples (R,) whose edge has a partner, and the same positions on that one in the camera (R, 3)."""
+    """Samples (R,) with a partner, and their points on it in the camera (R, 3)."""
     rows, count = np.empty(len(edge), np.int64), 0
     for i in range(len(edge)):
         if partner[edge[i]] >= 0:
@@ -332,7 +321,7 @@ def _gaps(
 
 @dataclass(frozen=True, slots=True)
 class Derivatives:
-    """n . du of the samples: rows (N, 18 + M), and own (N, 4 + n) by the camera's own parameters."""
+    """n . du of samples: rows (N, 18 + M); own (N, 4 + n): camera parameters."""
 
     rows: Array
     own: Array
@@ -344,12 +333,12 @@ class Derivatives:
 
     @property
     def bc(self) -> Array:
-        """By what covariance_bc speaks of (N, 6)."""
+        """Columns of covariance_bc (N, 6)."""
         return self.rows[:, 6:12]
 
     @property
     def rc(self) -> Array:
-        """By what covariance_rc speaks of (N, 6)."""
+        """Columns of covariance_rc (N, 6)."""
         return self.rows[:, 12:MAPPED_FROM]
 
     @property
@@ -362,7 +351,7 @@ def derivatives(
     edges: ModelEdges, samples: Samples, seen: EdgeView, eye: Eye, rig: Mount, p_n: Array, R_nb: Array, *,
     with_own: bool = True,
 ) -> Derivatives:  # fmt: skip
-    """All that moves the samples along their normals in this image; own is empty (N, 0) where it is not wanted."""
+    """Derivatives of samples along their normals; own is empty (N, 0) unless wanted."""
     own = 4 + len(eye.camera.distortion) if with_own else 0
     return Derivatives(*derived(
         seen.row_c, seen.x_c, seen.normal, samples.points_n, samples.t, samples.edge, edges.map_start, edges.map_end,
@@ -388,7 +377,7 @@ def derived(
 
 @njit(cache=True)
 def _along(normal: Array, jacobian: Array, columns: int) -> Array:
-    """n^T J (N, P) of normals (N, 2) and the first P columns of Jacobians (N, 2, ...)."""
+    """n^T J (N, P) of normals (N, 2) and the first P columns of (N, 2, ...)."""
     rows = np.empty((len(normal), columns))
     for i in range(len(normal)):
         for k in range(columns):
@@ -429,14 +418,12 @@ def _rows(
 
 @njit(cache=True)
 def _turn(R: Array, x: Array, out: Array) -> None:
-    """R x."""
     for a in range(3):
         out[a] = R[a, 0] * x[0] + R[a, 1] * x[1] + R[a, 2] * x[2]
 
 
 @njit(cache=True)
 def _minus_cross(a: Array, b: Array, out: Array) -> None:
-    """-a x b."""
     out[0] = a[2] * b[1] - a[1] * b[2]
     out[1] = a[0] * b[2] - a[2] * b[0]
     out[2] = a[1] * b[0] - a[0] * b[1]

@@ -1,12 +1,10 @@
-"""Small landmarks: where no side is long enough to be an edge, the whole outline is measured as one, by its shift.
+"""Small landmarks: the whole outline measured by its shift delta (2,) [px].
 
     d = argmax_d |sum_i n_i . g(x_i + d)|^2 / sum_i (|g(x_i + d)| + g_0)                             (whole pixels)
     r_i = n_i . delta + e_i
 
-g: gradients of all channels; x_i, n_i: points of the outline and its normals; r_i: where along the normal, near d, the contrast
-is steepest; delta (2,) [px]: the shift, which takes the place of an edge's offset and tilt. What stands out of its ground does so
-all around, and its whole rim leads to the same side. A shadow does so as well, and lies beside: where the colour inside is that
-of the ground outside, only darker, no small landmark is sought.
+g: gradients of all channels; x_i, n_i: outline points and normals; r_i: steepest contrast near d. None is sought where the inside
+is darker ground (shadow).
 """
 
 import math
@@ -41,7 +39,7 @@ _HALF, _STEP_PX = 5, 0.5  # of profiles on which the steepest position is found
 
 
 def blocks(edges: ModelEdges, eye: Eye, pose: tuple[Array, Array]) -> tuple[Indices, Mask]:
-    """Which edges (E,) are measured together, by the first of them; which (E,) are of small landmarks (only their rims)."""
+    """Measured-together edges (E,), by their first; which (E,) are of small landmarks."""
     return _blocks(edges.landmark, edges.kind, ends_px(edges, eye, pose))
 
 
@@ -66,7 +64,7 @@ def _blocks(landmark: Indices, kind: Indices, ends: Array) -> tuple[Indices, Mas
 
 
 def small(landmarks: Sequence[Landmark], eye: Eye, pose: tuple[Array, Array]) -> Mask:
-    """Which landmarks (L,) are small landmarks in the image of a pose."""
+    """Small landmarks (L,) in the image of a pose."""
     edges = visible_edges(Prisms.of(landmarks), eye.pose(*pose)[0])
     are_small = np.zeros(len(landmarks), np.bool_)
     are_small[edges.landmark[blocks(edges, eye, pose)[1]]] = True
@@ -76,7 +74,7 @@ def small(landmarks: Sequence[Landmark], eye: Eye, pose: tuple[Array, Array]) ->
 def sampled(
     edges: ModelEdges, eye: Eye, pose: tuple[Array, Array], spacing_px: float, most: int, wanted: Mask, is_small: Mask
 ) -> Samples:
-    """Points on the wanted edges (E,) as of sample_edges; those of small landmarks are closer, and on their rims only."""
+    """Points on wanted edges (E,), as sample_edges; small landmarks: closer, rims only."""
     samples = sample_edges(edges, eye, *pose, spacing_px, most, wanted & ~is_small)
     if not is_small.any():
         return samples
@@ -90,9 +88,9 @@ def sampled(
 def measure(
     image: Image, px: Array, normal: Array, of_small: Mask, block: Indices, half: int, seen: Mask, offsets: Array, usable: Mask
 ) -> None:
-    """Set offsets (N,) px, NaN where there is none, and usable (N,) of points of small landmarks, which may shift by half px.
+    """Set offsets (N,) px (NaN: none) and usable (N,) of small landmarks, shifts within half px.
 
-    px, normal (N, 2) of all points, of_spot (N,), block (N,): those of one small landmark in a row.
+    px, normal (N, 2); of_small (N,), block (N,): points of one in a row.
     """
     points = np.flatnonzero(of_small)
     if not len(points):
@@ -120,7 +118,6 @@ def _span(normal: Array) -> float:
 
 
 def _shifted(image: Image, px: Array, normal: Array, half: int) -> Array:
-    """Offsets (N,) of one small landmark's points."""
     du, dv, contrast = _whole_shift(image, px, normal, half)
     offsets = np.full(len(px), np.nan)
     if not np.any(contrast):
@@ -133,7 +130,7 @@ def _shifted(image: Image, px: Array, normal: Array, half: int) -> Array:
 
 @njit(cache=True)
 def _steepest(values: Array, contrast: Array, normal: Array, du: int, dv: int, usable: Mask, offsets: Array) -> None:
-    """Where on profiles (N, S, C) the change along the contrast (C,) is steepest: fills offsets (N,) px of the usable ones."""
+    """Steepest change along the contrast (C,) on profiles (N, S, C); fills usable offsets (N,)."""
     steep = np.zeros(2 * _HALF + 1)
     for i in range(len(values)):
         if not usable[i]:
@@ -153,7 +150,7 @@ def _steepest(values: Array, contrast: Array, normal: Array, du: int, dv: int, u
 
 @njit(cache=True)
 def _whole_shift(image: Image, px: Array, normal: Array, half: int) -> tuple[int, int, Array]:
-    """d, and the direction (C,) in which colours change outwards there; 0 where no shift stands out."""
+    """d and the outward colour direction (C,) there; 0 where no shift stands out."""
     pixel = np.empty(px.shape, np.int64)
     for i in range(len(px)):
         pixel[i, 0], pixel[i, 1] = int(px[i, 0] + 0.5), int(px[i, 1] + 0.5)
@@ -203,7 +200,6 @@ def _whole_shift(image: Image, px: Array, normal: Array, half: int) -> tuple[int
 
 @njit(cache=True)
 def _in_shadow(image: Image, pixel: Indices, normal: Array, du: int, dv: int) -> bool:
-    """Whether the colour inside a rim is that of the ground outside in a shadow."""
     rows, columns, channels = image.shape
     inside, outside = np.zeros(channels), np.zeros(channels)
     for i in range(len(pixel)):
@@ -220,7 +216,7 @@ def _in_shadow(image: Image, pixel: Indices, normal: Array, du: int, dv: int) ->
 
 @njit(cache=True)
 def _across(g: Array, pixel: Indices, normal: Array, du: int, dv: int) -> tuple[Array, float]:
-    """sum_i n_i . g_i (C,) and sum_i (|g_i| + g_0) of points at pixel (N, 2), moved by du, dv; 0 if one is not in the image."""
+    """sum_i n_i . g_i (C,), sum_i (|g_i| + g_0) at pixel (N, 2) moved by du, dv; 0 if outside."""
     channels = g.shape[2] // 2
     across, total = np.zeros(channels), 0.0
     for i in range(len(pixel)):
@@ -237,7 +233,7 @@ def _across(g: Array, pixel: Indices, normal: Array, du: int, dv: int) -> tuple[
 
 @njit(cache=True)
 def _gradients(image: Image, left: int, top: int, width: int, height: int) -> Array:
-    """d/du, then d/dv, of all channels (height, width, 2 C), by Sobel, grey values per pixel; NaN outside the image."""
+    """d/du, d/dv of all channels (height, width, 2 C), Sobel; NaN outside."""
     rows, columns, channels = image.shape
     g = np.full((height, width, 2 * channels), np.nan)
     for y in range(max(top, 1), min(top + height, rows - 1)):

@@ -1,18 +1,10 @@
-"""Where the predicted outlines are in the image: a search over the range that the prior leaves open.
+"""Search for the predicted outlines over the prior's range (docs/vision_predict.md).
 
     score(q) = sum_l max_{|d| <= 2 s_l} (support_l - tau length_l)(q + d) - q^T Q^-1 q / 2
+    max_{|d| <= 2 s_l, |g| <= 2 t_l} (support_l - tau length_l)(q + d, outline grown by g)              in the finer images
+    y_l = D_l dx - D_l,p m_l + e,       dx ~ N(0, P),  m_l ~ N(0, s_l^2)
 
-q: shift, turn and scale of the outlines (motion.py); support: how well landmark l lies on edges (votes.py). The prior's
-ellipsoid is searched on a grid in a reduced image. All landmarks vote together, each as far off as its map error s_l lets it
-be, so that a neighbour that looks alike does not catch one of them. In the reduced image the true position is seldom the very
-best one, but nearly always among the summits; so many of them, apart in shift, turn or scale, are refined in an image twice
-as large, and the best of these once more. There every landmark finds its own position and, once it has one, its own size,
-
-    max_{|d| <= 2 s_l, |g| <= 2 t_l} (support_l - tau length_l)(q + d, outline grown by g),
-
-because an outline too small lies on half of its sides at best; pose and map errors are solved for together,
-
-    y_l = D_l dx - D_l,p m_l + e,       dx ~ N(0, P),  m_l ~ N(0, s_l^2).
+q: shift, turn and scale (motion.py); support: votes.py; s_l: map error.
 """
 
 import math
@@ -53,7 +45,7 @@ _LOW = 0.4  # of the best summit's score: what is lower is not refined
 
 
 class CoarseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How far is searched, and what a vote is compared with."""
+    """Range of the search, expected votes."""
 
     limit_px: Annotated[float, Meta(gt=0, description="largest shift searched, in an image 640 px wide")] = 160.0
     turn_deg: Annotated[float, Meta(gt=0, description="largest turn searched")] = 30.0
@@ -75,7 +67,7 @@ def limit_px(camera: CameraModel, config: CoarseConfig) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A hypothesis: p_n, R_nb (the prior's with error (6,)); map errors (L, M); support and length in view (L,) px; score px."""
+    """A hypothesis: p_n, R_nb (error (6,) of the prior); map errors (L, M); support, length in view (L,) px; score px."""
 
     p_n: Array
     R_nb: Array
@@ -87,7 +79,7 @@ class Candidate:
 
     @classmethod
     def as_mapped(cls, eye: Eye, landmarks: Sequence[Landmark], pose: Pose, error: Array) -> "Candidate":
-        """A position that nothing voted for: landmarks are where the map has them, and count by what the image shows of them."""
+        """A position without votes, landmarks as mapped."""
         pinhole = straight(eye)
         ends, mark = roofs_in_view(pinhole, landmarks, pose, 0.0)
         p_nk, R_nk = pinhole.pose(*pose)
@@ -111,7 +103,7 @@ class Search:
         self.information = motion.prior.information
 
     def candidates(self, image: Image) -> list[Candidate]:
-        """Positions where the outlines may lie, best first, each apart from the better ones across its edges."""
+        """Candidate positions, best first, apart across their edges."""
         sizes = self._sizes()
         size = sizes[-1]
         reach = limit_px(self.eye.camera, self.config) + 2.0 * size
@@ -129,15 +121,10 @@ class Search:
         return self._best(middle, [self._nearest(fine, c, 2) for c in found], apart_px)
 
     def _best(self, search_level: SearchLevel, positions: list[Candidate], apart_px: float) -> list[Candidate]:
-        """The best positions, apart from each other, so that those near the best one do not crowd out its rivals."""
         ranked = sorted(positions, key=_score, reverse=True)
         return _apart(ranked, [self.motion.J @ c.error for c in ranked], search_level, apart_px, self.config.peaks)
 
     def _sizes(self) -> list[int]:
-        """By how much the image is reduced, rising: roofs keep a width in the last one, unless the search would be too long.
-
-        Where the prior leaves little open, a less reduced one is searched at once.
-        """
         size = 1
         while size * _LEAST_WIDTH < self.eye.camera.width:
             if self._votes(size) <= self.config.most_votes and self.motion.roof_px < 2.0 * size * self.config.roof_px:
@@ -149,11 +136,9 @@ class Search:
         return sizes
 
     def _votes(self, size: int) -> int:
-        """Of points, in the whole search of an image reduced `size` times."""
         return self._grid(size).positions * self._points(_WIDE_POINTS)
 
     def _points(self, each: int) -> int:
-        """How many are to vote, so many of each landmark on the average, at least."""
         return max(self.config.points, each * len(self.landmarks))
 
     def _grid(self, size: int) -> Grid:
@@ -161,7 +146,6 @@ class Search:
         return Grid.of(self.motion, c.sigmas, math.radians(c.turn_deg), size, limit_px(self.eye.camera, c))
 
     def _wide(self, search_level: SearchLevel) -> list[Array]:
-        """The best summits q of the whole grid, apart in shift, turn or scale."""
         if search_level.edge_points is None:
             return []
         score, q = (
@@ -172,23 +156,19 @@ class Search:
         return _apart(peaks, peaks, search_level, _APART_PX * search_level.level.size, self.config.summits)
 
     def _climb(self, search_level: SearchLevel, hypothesis: Candidate, steps: int) -> Candidate:
-        """The better of a hypothesis and one near it: turn and scale follow only from the observation before."""
         return max(hypothesis, self._again(search_level, hypothesis, steps), key=_score)
 
     def _nearest(self, search_level: SearchLevel, hypothesis: Candidate, steps: int) -> Candidate:
-        """The position near a position; where that is another one, the better of it and the position near it."""
         near = self._again(search_level, hypothesis, steps)
         shift_u, shift_v, turn, scale = self.motion.J @ (near.error - hypothesis.error)
         moved_px = math.hypot(shift_u, shift_v, self.motion.radius * turn, self.motion.radius * scale)
         return near if moved_px < _STILL_PX * search_level.level.size else self._climb(search_level, near, steps)
 
     def _first(self, search_level: SearchLevel, error: Array, steps: int) -> Candidate:
-        """The position near an error of the prior: landmarks as large as mapped, as far off the map as it leaves open."""
         as_mapped = np.zeros((len(self.landmarks), len(MapError)))
         return self._near(search_level, error, as_mapped, search_level.growth_m[:1], search_level.free + _SLACK, steps)
 
     def _again(self, search_level: SearchLevel, hypothesis: Candidate, steps: int) -> Candidate:
-        """A hypothesis near another: landmarks near where they were found, as large as the map leaves open."""
         return self._near(
             search_level, hypothesis.error, hypothesis.shift_m, search_level.growth_m, search_level.sides + _SLACK, steps
         )
@@ -196,9 +176,9 @@ class Search:
     def _near(
         self, search_level: SearchLevel, error: Array, shift_m: Array, growth_m: Array, free: Array, steps: int
     ) -> Candidate:
-        """Every landmark's own position and size near an error of the prior, and the pose and map errors that follow.
+        """Each landmark's position and size near an error of the prior, and the resulting pose and map errors.
 
-        Each is sought at most free (L,) px of the level from where shift_m (L, M) has it, grown by each of growth_m (K, L).
+        At most free (L,) px from shift_m (L, M), grown by growth_m (K, L).
         """
         size, half = search_level.level.size, steps + int(free.max())
         s, pose = np.arange(-half, half + 1.0) * size, self.motion.pose(error)
@@ -219,9 +199,9 @@ class Search:
 
 @njit(cache=True)
 def _own(votes: Array, length: Array, free: Array, steps: int) -> tuple[Array, Indices, Array, Array]:
-    """Each landmark's own position (L, 2), row and column to a fraction, its size (L,), and its votes and length (L,) there.
+    """Each landmark's position (L, 2) (row, column, sub-pixel), size (L,), votes and length (L,).
 
-    votes, length (K, L, U, U): in K sizes, shifted about the middle; landmarks lie at most free (L,) from what is common to all.
+    votes, length (K, L, U, U): by size and shift; at most free (L,) from the common one.
     """
     sizes, marks = votes.shape[:2]
     best = votes[0].copy()
@@ -251,7 +231,6 @@ def _own(votes: Array, length: Array, free: Array, steps: int) -> tuple[Array, I
 
 @njit(cache=True)
 def _highest(votes: Array, a: int, b: int, radius: int) -> float:
-    """Of the votes (U, V) at most radius rows and columns from row a, column b."""
     most = -np.inf
     for i in range(a - radius, a + radius + 1):
         for j in range(b - radius, b + radius + 1):
@@ -261,7 +240,7 @@ def _highest(votes: Array, a: int, b: int, radius: int) -> float:
 
 @njit(cache=True)
 def _common(votes: Array, free: Array, steps: int) -> Indices:
-    """Row and column (2,), at most `steps` from the middle, where the best votes within free (L,) have the largest sum."""
+    """Row, column (2,) within `steps` of the middle where the best votes within free (L,) have the largest sum."""
     middle, best, common = votes.shape[1] // 2, -np.inf, np.empty(2, np.int64)
     for a in range(middle - steps, middle + steps + 1):
         for b in range(middle - steps, middle + steps + 1):
@@ -282,7 +261,6 @@ T = TypeVar("T")
 
 
 def _apart(ranked: Sequence[T], q: Sequence[Array], search_level: SearchLevel, least_px: float, most: int) -> list[T]:
-    """The first ones, `most` of them, of ranked, which lie at q, that are apart from every better one."""
     chosen, at, left = list[T](), np.array(q), np.arange(len(ranked))
     while len(left) and len(chosen) < most:
         chosen.append(ranked[left[0]])

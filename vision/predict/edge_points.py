@@ -1,7 +1,4 @@
-"""Points on predicted outlines that vote in the coarse search: which are distinct there, and how each pose aims them.
-
-Roof edges, and feet and corners of walls as far as they are not drowned by the roof's edge beside them at this size.
-"""
+"""Voting points on predicted outlines: roof edges, and wall feet and corners distinct from them."""
 
 import math
 from collections.abc import Sequence
@@ -35,8 +32,8 @@ _LEAST_CHROMA = 30.0  # grey values; a paler map colour has no side
 class EdgePoints:
     """N points of E edges of L landmarks, edge by edge.
 
-    points_n, direction_n (N, 3): point, and direction of its edge; mark_of_point (N,); first (E + 1,): points of edge e are
-    first[e] to first[e + 1]; mark, length, chroma: as vote() takes them; depth (L,): m, of the roofs below the camera.
+    points_n, direction_n (N, 3); mark_of_point (N,); first (E + 1,): points of edge e are first[e] to first[e + 1]; mark, length,
+    chroma: as vote(); depth (L,): m, roofs below the camera.
     """
 
     points_n: Array
@@ -49,9 +46,7 @@ class EdgePoints:
     depth: Array
 
     def moved(self, shift_m: Array) -> Array:
-        """Points (N, 3) of landmarks that are off the map by shift_m (L, M) north and east, and larger; corners of walls do not
-        grow.
-        """
+        """Points (N, 3) with map errors shift_m (L, M): shift and growth; wall corners do not grow."""
         return np.asarray(_moved(self.points_n, self.direction_n, self.mark_of_point, shift_m))
 
     def middles(self, marks: int) -> Array:
@@ -61,17 +56,15 @@ class EdgePoints:
         return np.where(count > 0, sums / np.maximum(count, 1), np.nan)
 
     def aimed(self, eye: Eye, pose: Pose, gain: Array, shift_m: Array | None = None) -> Array:
-        """The points (N, 11) as vote() takes them, from a pose; gain (6, 2): how it goes with a shift of the image; shift_m:
-        as moved().
-        """
+        """Points (N, 11) for vote() from a pose; gain (6, 2): pose per image shift; shift_m: as moved()."""
         points_n = self.points_n if shift_m is None else self.moved(shift_m)
         return aim(points_n, self.direction_n, pose[0], gain, *eye.pose(*pose), eye.camera.fx, eye.camera.fy)
 
 
 def edge_points(eye: Eye, body: Prisms, chroma: Array, pose: Pose, reach_px: float, most: int) -> EdgePoints | None:
-    """About `most` points of what is seen from a pose and comes into the image within reach_px; None where there is nothing.
+    """About `most` points within reach_px of the image; None without any.
 
-    eye: with the camera of the reduced image, without distortion; chroma (L, 3): chromas() of the landmarks.
+    eye: reduced undistorted camera; chroma (L, 3): chromas() of the landmarks.
     """
     p_nk, _ = eye.pose(*pose)
     eye = Eye(enlarged(eye.camera, math.ceil(reach_px)), eye.R_kb, eye.p_bk, eye.right)
@@ -96,7 +89,7 @@ def edge_points(eye: Eye, body: Prisms, chroma: Array, pose: Pose, reach_px: flo
 
 @njit(cache=True)
 def _moved(points: Array, direction: Array, mark: Indices, shift_m: Array) -> Array:
-    """Points (N, 3) on edges of direction (N, 3), roofs to the left of it, of landmarks (N,) off the map by shift_m (L, M)."""
+    """Points (N, 3) on edges of direction (N, 3), roof to the left, of landmarks (N,) off by shift_m (L, M)."""
     moved = points.copy()
     for i in range(len(points)):
         off, n, e = shift_m[mark[i]], direction[i, 0], direction[i, 1]
@@ -110,10 +103,9 @@ def _moved(points: Array, direction: Array, mark: Indices, shift_m: Array) -> Ar
 def _chosen(
     landmark: Indices, kind: Indices, ends: Array, gap: Array, edge: Indices, px: Array, usable: Mask, width: int, height: int
 ) -> tuple[Indices, Indices, Indices, Array]:
-    """The samples (N,) that vote, chain by chain; from where on (C + 1,) those of each chain stand, its first edge (C,), and the
-    length (C,) px that one of its samples stands for.
+    """Voting samples (N,), chain by chain; chain starts and first edges (C + 1,), (C,), px per sample (C,).
 
-    ends (2 E, 2) px, starts first; gap (E,) px to an edge's partner; edge (S,), px (S, 2) and usable (S,): of all samples.
+    ends (2 E, 2) px, starts first; gap (E,) px to the partner; edge (S,), px (S, 2), usable (S,).
     """
     edges = len(kind)
     size, direction = np.zeros(edges), np.zeros((edges, 2))
@@ -148,9 +140,7 @@ def _chosen(
 
 @njit(cache=True)
 def chains(landmark: Indices, kind: Indices, length: Array, direction: Array) -> Indices:
-    """Which chain (E,) each edge belongs to: neighbours of one landmark and kind, joined until they are long enough to have a
-    direction, unless they turn by much. A curve is a polygon of edges that are too short to be distinct.
-    """
+    """Chain (E,) of each edge: neighbours of one landmark and kind joined until long enough, unless they turn much."""
     chain = np.zeros(len(kind), np.int64)
     begin, total = 0, 0.0
     for e in range(len(kind)):

@@ -1,9 +1,8 @@
-"""The final check: do the outlines lie where the fit says, landmark by landmark, and do both images say the same?
+"""Final check: do outlines lie where the fit says, in both images alike?
 
     r_right,i - r_left,i = n_i . (du, dv) + e_i         (offsets along the normals of the same points in the two images, px)
 
-A fit leaves out edges that disagree; a landmark of which most disagree is not there, and images that are swapped, or were not
-taken together, or belong to another calibration, differ by one shift for all. What hides a part of a roof hides it in both.
+A landmark that mostly disagrees is absent; swapped, unsynchronised or foreign images differ by a common shift.
 """
 
 import math
@@ -51,12 +50,10 @@ _REGULAR, _LEAST_INFORMATION = 1e-3, 2.0  # points across the direction that is 
 
 @dataclass(frozen=True, slots=True)
 class FinalCheck:
-    """share (L,) of each landmark's roof in view that lies where the fit says, NaN where nothing of it can be examined.
+    """share (L,) of each visible roof that agrees, NaN where none can be examined.
 
-    images: the same of each image that is there.
-    present (L,): logarithm of how much likelier these images are if it stands than if it is gone (presence.py).
-    covered: share of all roofs in view that something covers, or where there is no roof, in every image.
-    apart: (du, dv) of right against left image, px, and its standard deviation; None where too little is in both.
+    images: the same per image; present (L,): log odds standing / gone (presence.py); covered: share of all roofs covered in every
+    image; apart: (du, dv) right against left, px, and sigma, or None.
     """
 
     share: Array
@@ -67,8 +64,8 @@ class FinalCheck:
 
 
 class _Checked(NamedTuple):
-    """What one image shows of the samples of roofs: offsets (N,) px, normals (N, 2), positions x_c (N, 3) m in the camera; usable
-    ones (N,), and those of them that something hides (N,); across() (E, C + 1) of roofs and walls.
+    """Roof samples of an image: offsets (N,) px, normals (N, 2), x_c (N, 3) m; usable, hidden (N,); across() (E, C + 1) of roofs,
+    walls.
     """
 
     offset: Array
@@ -86,7 +83,7 @@ def final_check(
     fit: PoseEstimate,
     observation: ObservationConfig,
 ) -> FinalCheck:
-    """Examine the roofs from the pose that prior and images gave together."""
+    """Examine the roofs from the joint pose."""
     pose, as_mapped = (fit.joint_p_n, fit.joint_R_nb), Prisms.of(landmarks)
     shown = [(eye, channels(image)) for eye, image in zip(eyes(rig), views, strict=True) if image is not None]
     prisms, edges = as_mapped.moved(fit.shift_m), visible_edges(as_mapped, shown[0][0].pose(*pose)[0], fit.shift_m)
@@ -120,9 +117,9 @@ def final_check(
 
 
 def _checked(image: Image, drawn: Drawn, roofs: OnRoofs, walls: OnWalls, bodies: Bodies, stand: Stand, camera: Array) -> _Checked:
-    """drawn: ModelEdges; roofs: Samples, their blocks, which of small ones; walls: Samples; bodies: Prisms; stand: Eye.stand.
+    """drawn: ModelEdges; roofs: Samples, blocks, small ones; walls: Samples; bodies: Prisms; stand: Eye.stand.
 
-    Feet of walls so near the roof's edge that this one's gradient is theirs as well say nothing by themselves.
+    Wall feet near the roof's edge share its gradient and do not count.
     """
     start, end, landmark, kind, partner, raised = drawn
     points, edge, block, of_small = roofs
@@ -146,9 +143,9 @@ def _checked(image: Image, drawn: Drawn, roofs: OnRoofs, walls: OnWalls, bodies:
 def _count(
     offset: Array, usable: Mask, x_c: Array, edge: Indices, landmark: Indices, slack: Array, found: Array, given: Array
 ) -> None:
-    """Count usable points of each landmark in given (L,), and in found (L,) those whose offset (N,) px is near enough.
+    """Count usable points per landmark in given (L,), near ones (offset (N,) px) in found (L,).
 
-    x_c (N, 3) m in the camera; edge (N,), landmark (E,); slack (L,): what the map leaves open of the outline, px m.
+    x_c (N, 3) m in the camera; edge (N,), landmark (E,); slack (L,): map's outline error, px m.
     """
     for i in range(len(offset)):
         if usable[i]:
@@ -159,14 +156,14 @@ def _count(
 
 
 def _shift(difference: Array, normal: Array) -> tuple[float, float, float] | None:
-    """(du, dv) and a standard deviation of both; None where the points (N,), NaN where there is no offset, tell too little."""
+    """(du, dv) and their sigma; None with too few points (N,), NaN: no offset."""
     du, dv, sigma = _common_shift(difference, normal)
     return None if math.isnan(sigma) else (du, dv, sigma)
 
 
 @njit(cache=True)
 def _common_shift(difference: Array, normal: Array) -> tuple[float, float, float]:
-    """(du, dv) = (sum w n n^T)^-1 sum w n d, robustly (Huber, then Tukey); its standard deviation, NaN if not measured."""
+    """(du, dv) = (sum w n n^T)^-1 sum w n d, robust (Huber, then Tukey); sigma, NaN if unmeasured."""
     good, count = np.empty(len(difference), np.int64), 0
     for i in range(len(difference)):
         if math.isfinite(difference[i]):

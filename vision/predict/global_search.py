@@ -1,14 +1,9 @@
-"""The search of all that the prior leaves open, in the most reduced image.
+"""Search of the whole prior in the most reduced image (docs/vision_predict.md).
 
     score(q) = sum_l max_{|d| <= 2 s_l} (support_l - tau length_l)(q + d) - q^T Q^-1 q / 2,     q: shift, turn, log scale
-
-The grid's step is a pixel, and turns and scales of which the nearest one is off by a pixel at most, at the ends of all outlines.
-The ends of a single landmark are off by less, as its radius is less than that of all. So in many turns and scales a landmark is
-the same but for its position, and its votes are computed once for all of these, in every position where they may put it:
-
     support_l(q) = support_l,k(y_l(q) - y_l(q_k)),    q_k: the nearest turn and scale of a grid by the landmarks' own radius
 
-y_l: where the middle of the landmark's points is in the image; rounded to pixels.
+y_l: image of the middle of its points, in whole pixels; so votes serve many turns and scales.
 """
 
 import math
@@ -34,7 +29,7 @@ Other = tuple[float, float]  # turn and log scale
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Shifts su, sv px, pairs of turn and log scale, and the squared distance from the prior that is searched."""
+    """Shifts su, sv px, pairs of turn and log scale, largest squared distance from the prior."""
 
     su: Array
     sv: Array
@@ -43,7 +38,7 @@ class Grid:
 
     @classmethod
     def of(cls, motion: Motion, sigmas: float, most_turn: float, step: int, limit_px: float) -> "Grid":
-        """Of so many sigmas of the prior, a turn [rad] and a shift, in an image reduced `step` times."""
+        """For so many sigmas, a turn [rad] and shift, image reduced `step` times."""
         width, reach = _width(motion.radius, step), (min(sigmas * motion.turn_rad, most_turn), sigmas * motion.log_scale)
         u, v = (math.ceil(min(sigmas * math.sqrt(motion.covariance[k, k]), limit_px) / step) + 1 for k in range(2))
         turns, scales = (math.ceil(max(half / width - 0.5, 0.0)) for half in reach)
@@ -52,12 +47,12 @@ class Grid:
 
     @property
     def positions(self) -> int:
-        """How many there are."""
+        """Number of positions."""
         return len(self.su) * len(self.sv) * len(self.others)
 
 
 def summits(search_level: SearchLevel, motion: Motion, grid: Grid) -> tuple[Array, Array]:
-    """Scores (N,) and q (N, 4) of the local summits in each turn and scale, best first."""
+    """Scores (N,) and q (N, 4) of local summits by turn and scale, best first."""
     information = np.linalg.inv(motion.covariance).astype(np.float64)
     scores, found = list[Array](), list[Array]()
     for shape, others in _by_shape(grid.others, _width(search_level.own_radius(), search_level.level.size)).items():
@@ -87,12 +82,11 @@ def summits(search_level: SearchLevel, motion: Motion, grid: Grid) -> tuple[Arra
 
 
 def _width(radius: float, step: int) -> float:
-    """Of a step in turn [rad] and scale that moves the ends of what has this radius by two pixels of the reduced image."""
+    """Step of turn [rad] and scale that moves ends at `radius` by two reduced pixels."""
     return 2.0 * step / radius
 
 
 def _by_shape(others: list[Other], width: float) -> dict[Other, list[Other]]:
-    """Which turns and scales belong to each one of a grid with steps of this width."""
     shapes: dict[Other, list[Other]] = {}
     for turn, scale in others:
         shapes.setdefault((width * round(turn / width), width * round(scale / width)), []).append((turn, scale))
@@ -100,15 +94,12 @@ def _by_shape(others: list[Other], width: float) -> dict[Other, list[Other]]:
 
 
 def _middles(search_level: SearchLevel, motion: Motion, other: Other) -> Array:
-    """The landmarks' middles (L, 11), as aimed, in a turn and scale."""
     return search_level.middles(motion.pose(motion.gain @ np.array([0.0, 0.0, *other])))
 
 
 @njit(cache=True)
 def _window(middles: Array, start_px: Array, camera: Array, su: Array, sv: Array) -> Window:
-    """By how many pixels middles (K, L, 11) are moved from start_px (L, 2). Quotients of what is linear in the shifts are largest
-    at their corners.
-    """
+    """Pixels by which middles (K, L, 11) move from start_px (L, 2); linear quotients peak at corners."""
     left, right, top, bottom = 0.0, 0.0, 0.0, 0.0
     for k in range(middles.shape[0]):
         for m in range(middles.shape[1]):
@@ -130,7 +121,7 @@ def _summits(
     votes: Array, middles: Array, others: Array, start_px: Array, window: Window, camera: Array, su: Array, sv: Array,
     size: float, information: Array, most: float,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Scores (N,) and q (N, 4) of the local summits in turns and scales (K, 2), where middles (K, L, 11) are as aimed."""
+    """Scores (N,), q (N, 4) of local summits at turns and scales (K, 2), middles (K, L, 11)."""
     scores, q, n = np.empty(_SUMMITS * len(others)), np.empty((_SUMMITS * len(others), 4)), 0
     for k in range(len(others)):
         total = _together(votes, middles[k], start_px, window, camera, su, sv)
@@ -144,9 +135,7 @@ def _summits(
 
 @njit(cache=True, error_model="numpy")
 def _together(votes: Array, middle: Array, start_px: Array, window: Window, camera: Array, su: Array, sv: Array) -> Array:
-    """Sum (V, U) of the votes (L, rows, columns) of landmarks in a window about start_px (L, 2), where a shift puts their middle
-    (L, 11); outside there are none.
-    """
+    """Sum (V, U) of votes (L, rows, columns) about start_px (L, 2), middles (L, 11) shifted; none outside."""
     total, rows, columns = np.zeros((len(sv), len(su))), votes.shape[1], votes.shape[2]
     at = np.empty(len(su), np.int32)
     for m in range(len(votes)):
@@ -168,9 +157,7 @@ def _together(votes: Array, middle: Array, start_px: Array, window: Window, came
 
 @njit(cache=True)
 def _score(total: Array, size: float, su: Array, sv: Array, other: Array, information: Array, most: float) -> None:
-    """From votes, in pixels that are `size` wide, to scores (V, U) of all shifts with one turn and scale:
-    size total - q^T Q^-1 q / 2, and _NEVER where q^T Q^-1 q is more than `most`.
-    """
+    """Scores (V, U) from votes: size total - q^T Q^-1 q / 2, _NEVER where q^T Q^-1 q exceeds `most`."""
     q = np.array([0.0, 0.0, other[0], other[1]])
     for b in range(len(sv)):
         for a in range(len(su)):
@@ -183,7 +170,6 @@ def _score(total: Array, size: float, su: Array, sv: Array, other: Array, inform
 
 @njit(cache=True)
 def _peaks(score: Array) -> tuple[Array, Indices, Indices]:
-    """The best local maxima, and their rows and columns; of equal ones the first."""
     rows, columns = score.shape
     best, at, count = np.empty(_SUMMITS + 1), np.empty((2, _SUMMITS + 1), np.int64), 0
     for b in range(rows):

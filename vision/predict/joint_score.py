@@ -1,18 +1,10 @@
-"""How well all outlines together lie on edges of an image, at one common shift, and whether one shift stands out.
+"""Agreement of all outlines with edges at one common shift (docs/vision_aerial.md).
 
     S(q) = sum_i (c_i(q) - c) / N,      c_i(q) = |n_i . g(x_i + q)| / (|g(x_i + q)| + g_0)
+    q_1 = argmax S(q)^2 / (2 s^2) - q^T P^-1 q / 2,     ratio = S(q_1) / max S(q),   |q - q_1| > apart
 
-g: gradients of all channels; n_i: normal of the outline at its point i; c: what c_i is on the average over all shifts, which is
-chance; N: number of points. Only directions count, so a shadow's rim has no more to say than a pale roof, and a point outside the
-image says what chance does: nothing. Every point has its say, and no edge need be seen whole: where each edge shows little
-(hipped roofs, trees), all of them together still tell the position, and the prior P has its say as well. The best position is
-
-    q_1 = argmax S(q)^2 / (2 s^2) - q^T P^-1 q / 2
-
-s: standard deviation of S over all shifts, which is what chance makes of it; the first term is the largest likelihood ratio of
-N(m, s^2) over N(0, s^2) that any m > 0 has. The second summit, of S alone, measures the score of wrong positions in this image.
-
-    ratio = S(q_1) / max S(q),   |q - q_1| > apart
+g: gradients of all channels; n_i: outline normal; c: mean of c_i over all shifts; s: standard deviation of S over them. Points
+outside the image are neutral.
 """
 
 from dataclasses import dataclass
@@ -26,8 +18,8 @@ from vision.image.reduced import Field
 
 @dataclass(frozen=True, slots=True)
 class Summit:
-    """The best q (4,): shift u, v [px], turn [rad], log scale; its score, and how many times the highest one elsewhere that is
-    (below 1: by the prior alone); step_px: between neighbouring shifts.
+    """q (4,): shift u, v [px], turn [rad], log scale; its score, ratio to the highest elsewhere (< 1: by the prior); step_px:
+    shift spacing.
     """
 
     q: Array
@@ -37,16 +29,16 @@ class Summit:
 
 
 def joint_score(field: Field, camera: Array, aimed: Array, floor: float, su: Array, sv: Array) -> Array:
-    """S (U, V) at shifts su (U,), sv (V,) px; aimed (N, 11), camera, floor (g_0): as vote() takes them."""
+    """S (U, V) at shifts su (U,), sv (V,) px; aimed (N, 11), camera, floor (g_0): as vote()."""
     total, count = _sums(field, camera, aimed, floor, su, sv)
     chance = total.sum() / max(count.sum(), 1.0)
     return np.asarray((total - chance * count) / max(len(aimed), 1))
 
 
 def summit(score: Array, turned: Array, su: Array, sv: Array, covariance: Array, apart_px: float) -> Summit:
-    """Of S (T, U, V) at turns and log scales turned (T, 2), with the prior's covariance (4, 4) of q.
+    """Of S (T, U, V) at turned (T, 2), prior covariance (4, 4) of q.
 
-    What lies no farther than apart_px from it is the same position, at whatever turn and scale.
+    Within apart_px, at any turn and scale, is the same position.
     """
     q = np.stack(np.broadcast_arrays(su[:, None], sv[None, :]), axis=-1)
     information, best, at = np.linalg.inv(covariance), -np.inf, (0, 0, 0)
@@ -66,7 +58,6 @@ def summit(score: Array, turned: Array, su: Array, sv: Array, covariance: Array,
 
 @njit(cache=True)
 def _sums(field: Field, camera: Array, aimed: Array, floor: float, su: Array, sv: Array) -> tuple[Array, Array]:
-    """Sum of c_i, and the number of points in view (U, V)."""
     rows, columns = field.shape[0], field.shape[1]
     total, count = np.zeros((len(su), len(sv))), np.zeros((len(su), len(sv)))
     fx, fy, cx, cy = camera[0], camera[1], camera[2] + 0.5, camera[3] + 0.5

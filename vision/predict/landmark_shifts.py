@@ -1,10 +1,10 @@
-"""Where each landmark is found in the image, and the pose and the map errors that follow.
+"""Each landmark's shift in the image, and the resulting pose and map errors.
 
     y_l = D_l dx - D_l,p m_l + e_l,       dx ~ N(0, P),  m_l ~ N(0, s_l^2 I),  e_l ~ N(0, e^2 I)                        (px)
     dx = (P^-1 + sum_l D_l^T N_l^-1 D_l)^-1 sum_l D_l^T N_l^-1 y_l,    N_l = e^2 I + s_l^2 D_l,p D_l,p^T
     m_l = -s_l^2 D_l,p^T N_l^-1 (y_l - D_l dx)
 
-D_l (2, 6): how landmark l moves in the image with the pose, the mean over its points; D_l,p: with the position.
+D_l (2, 6): mean motion of landmark l with the pose; D_l,p: with position.
 """
 
 from typing import NamedTuple
@@ -27,9 +27,9 @@ class Shifted(NamedTuple):
 
 
 def shifted(D: Array, found_px: Array, trusted: Mask, map_sigma: Array, position_px: float, error: Array, P: Array) -> Shifted:
-    """D (L, 2, 6), and found_px (L, 2): how far from where an error (6,) of the prior puts it each landmark was found.
+    """D (L, 2, 6); found_px (L, 2): shift from where the prior's error (6,) puts each landmark.
 
-    trusted (L,): those that count; map_sigma (L,) m; position_px: how well a position is found.
+    trusted (L,): those that count; map_sigma (L,) m; position_px: sigma of a found position.
     """
     y, W, information, weighted = _information(D, found_px, trusted, map_sigma, position_px, error)
     total = np.linalg.solve(np.eye(6) + P @ information, P @ weighted).astype(np.float64)
@@ -38,8 +38,7 @@ def shifted(D: Array, found_px: Array, trusted: Mask, map_sigma: Array, position
 
 @njit(cache=True)
 def motions(points: Array, p_n: Array, p_nk: Array, R_nk: Array, mark: Indices, marks: int, fx: float, fy: float) -> Array:
-    """D (L, 2, 6) px of points X (N, 3) of landmarks mark (N,), as the vehicle at p_n and its camera move; that one is at p_nk,
-    has axes R_nk and no distortion.
+    """D (L, 2, 6) px of points X (N, 3) of landmarks mark (N,), vehicle at p_n, undistorted camera at p_nk, axes R_nk.
 
     dx_c = R_nk^T (-dp + [X - p]x dtheta)
     """
@@ -71,7 +70,7 @@ def motions(points: Array, p_n: Array, p_nk: Array, R_nk: Array, mark: Indices, 
 def _information(
     D: Array, found_px: Array, trusted: Mask, map_sigma: Array, position_px: float, error: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """y_l (L, 2), N_l^-1 (L, 2, 2), and the sums over landmarks of D_l^T N_l^-1 D_l (6, 6) and D_l^T N_l^-1 y_l (6,)."""
+    """y_l (L, 2), N_l^-1 (L, 2, 2), sums of D_l^T N_l^-1 D_l (6, 6), D_l^T N_l^-1 y_l (6,)."""
     information, weighted = np.zeros((6, 6)), np.zeros(6)
     y, W, WD = np.empty((len(D), 2)), np.empty((len(D), 2, 2)), np.empty((2, 6))
     for m in range(len(D)):
@@ -96,7 +95,6 @@ def _information(
 
 @njit(cache=True)
 def _shifts(D: Array, trusted: Mask, map_sigma: Array, y: Array, W: Array, total: Array) -> Array:
-    """m_l (L, 2)."""
     shift_m = np.zeros((len(D), 2))
     for m in range(len(D)):
         if trusted[m]:
@@ -109,7 +107,6 @@ def _shifts(D: Array, trusted: Mask, map_sigma: Array, y: Array, W: Array, total
 
 @njit(cache=True)
 def _dot(a: Array, b: Array) -> float:
-    """a . b, (6,) each."""
     total = 0.0
     for k in range(len(a)):
         total += a[k] * b[k]
@@ -118,9 +115,7 @@ def _dot(a: Array, b: Array) -> float:
 
 @njit(cache=True)
 def own_positions(votes: Array, common: Indices, free: Array) -> Array:
-    """Row and column (L, 2), to a fraction, of each landmark's best position in votes (L, U, V), at most free (L,) from
-    common.
-    """
+    """Sub-pixel row, column (L, 2) of the best votes (L, U, V), within free (L,) of common."""
     positions = np.empty((len(votes), 2))
     for k in range(len(votes)):
         one, radius = votes[k], int(free[k])
@@ -140,6 +135,5 @@ def own_positions(votes: Array, common: Indices, free: Array) -> Array:
 
 @njit(cache=True)
 def _top(before: float, here: float, after: float) -> float:
-    """Where the parabola through three values has its top, -0.5 ... 0.5; 0 where it has none."""
     curvature = before - 2.0 * here + after
     return min(max(0.5 * (before - after) / curvature, -0.5), 0.5) if curvature < 0.0 else 0.0

@@ -1,9 +1,8 @@
-"""How the image of a few landmarks moves with the pose, and what the prior leaves open of it.
+"""Image motion of a few landmarks with the pose, and what the prior leaves open.
 
     q = J dx + e,    Q = J P J^T,    dx = P J^T Q^-1 q           (q: shift u, v [px], turn [rad], log scale about their middle)
 
-Four of the pose's six degrees of freedom move a few outlines by more than a few pixels: these four are searched. Each q stands
-for the likeliest pose that shows it.
+Four of six degrees of freedom matter; each q stands for its likeliest pose.
 """
 
 import math
@@ -33,7 +32,7 @@ _ASIDE = 0.1  # of the image's width: what lies farther outside does not count
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Prior, J (4, 6), covariance Q (4, 4), gain (6, 4); middle (2,) and radius px of the outlines, roof_px: median width."""
+    """Prior, J (4, 6), Q (4, 4), gain (6, 4); middle (2,), radius px of the outlines, roof_px: median width."""
 
     prior: Prior
     J: Array
@@ -59,19 +58,18 @@ class Motion:
         return math.sqrt(float(self.covariance[3, 3]))
 
     def pose(self, error: Array) -> Pose:
-        """The pose that is off the prior's by an error (6,)."""
+        """The prior's pose with error (6,)."""
         p_n, q_nb = np.asarray(self.prior.p_n, dtype=float), np.asarray(self.prior.q_nb_wxyz, dtype=float)
         return p_n + error[:3], _turned(q_nb, np.ascontiguousarray(error[3:]))
 
 
 @njit(cache=True)
 def _turned(q: Array, dtheta: Array) -> Array:
-    """exp(dtheta) R(q)."""
     return so3.product(so3.matrix(so3.quat_exp(dtheta)), so3.matrix(q))
 
 
 def motion(eye: Eye, landmarks: Sequence[Landmark], prior: Prior) -> Motion | None:
-    """Of what is in view, or hardly aside, of the roofs as predicted by the prior; None where they are not before the camera."""
+    """Motion of the roofs in view, or nearly, at the prior; None without."""
     pinhole = straight(eye)
     p_n = np.asarray(prior.p_n, dtype=float)
     p_nk, R_nk = pinhole.pose(p_n, prior.R_nb)
@@ -100,7 +98,7 @@ def motion(eye: Eye, landmarks: Sequence[Landmark], prior: Prior) -> Motion | No
 
 
 def roofs_in_view(eye: Eye, landmarks: Sequence[Landmark], pose: Pose, aside_px: float) -> tuple[Array, NDArray[np.int64]]:
-    """Ends (N, 3) of what the image, enlarged by aside_px all around, shows of the roofs' sides, and whose they are (N,)."""
+    """Ends (N, 3) of roof sides within aside_px of the image, and their landmarks (N,)."""
     wide = Eye(enlarged(eye.camera, math.ceil(aside_px)), eye.R_kb, eye.p_bk, eye.right)
     bodies = Prisms.of(landmarks)
     start, count, following = bodies.roofs, np.diff(bodies.offsets), np.arange(1, len(bodies.vertices) + 1)
@@ -121,7 +119,7 @@ def enlarged(camera: CameraModel, by: int) -> CameraModel:
 
 
 def moved(camera: CameraModel, x_c: Array, lever_n: Array, R_nk: Array) -> Array:
-    """How points x_c (N, 3) move in the image with the pose (N, 2, 6):  dx_c = R_nk^T (-dp + [X - p]x dtheta)."""
+    """Image motion (N, 2, 6) of x_c (N, 3) with the pose:  dx_c = R_nk^T (-dp + [X - p]x dtheta)."""
     jacobian = camera.project_jacobian(x_c) @ R_nk.T
     lever = lever_n[:, None, :]
     across = jacobian[..., [1, 2, 0]] * lever[..., [2, 0, 1]] - jacobian[..., [2, 0, 1]] * lever[..., [1, 2, 0]]

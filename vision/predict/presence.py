@@ -1,22 +1,11 @@
-"""Does a landmark stand where a fit says, or does its outline lie on edges of something else? The odds, side by side of the roof.
+"""Odds that a landmark stands where a fit says, side by side of the roof (docs/vision_identify.md).
 
     a = |sum_i u_i| / n,   u_i = g_i n_i / |g_i|,        z = a (2 n)^(1/2)
     LR = prod_e ((1 - h) A(a) + h C(z)) / (q A(a) + (1 - q) C(z))
 
-g_i: gradients of all channels at point i of a side, n_i the outline's normal there. Along an edge all gradients point across it,
-to the same side, and a is near 1. Texture's point anywhere: their sum is a walk of n random steps, of variance 1/2 each, and z
-is half-normal, C. A side of a roof that stands is hidden, or of the ground's colour, with probability h; one of a roof that is
-gone lies on an edge of something else (a kerb, a shadow, a field) with q. Two sides on the corner of two streets are as likely a
-house as not, and three points of a side at the border prove nothing. A(a) = 2 a: edges are mostly, but need not be, plain.
-
-The feet and corners of the walls in view tell as well, each of them less, as bushes hide them and light may leave a corner no
-contrast: h = q = 0.2. An outline that lies on edges of something else seldom has more of these where its walls would end.
-
-A landmark too small to have edges (small_landmarks.py) has one side, its whole rim: a stain has all of a rim as well. One is
-missed with h = 0.15. Without a small landmark there, one of that size is found in 58 % within 8 px (2700 positions each in
-photos of grass and woods and in rendered images); lying anywhere there, it is as near as 2.5 px to the very position in 9 %: q =
-0.05. One that is found elsewhere, or nowhere within these 8 px, is missed whatever its position shows: a rim beside a stone
-crosses the stone's edges.
+g_i: gradients at point i of a side, n_i the outline's normal. A(a) = 2 a: an edge; C: half-normal, texture. h: a standing side is
+hidden; q: a vanished one lies on another edge. Wall feet and corners: h = q = 0.2; the rim of a small landmark: h = 0.15, q =
+0.05.
 """
 
 import math
@@ -39,9 +28,9 @@ _LEAST_POINTS = 2.0  # that have a direction in common
 
 @njit(cache=True)
 def across(image: NDArray[np.uint8], px: Array, normal: Array, edge: Indices, edges: int, usable: Mask) -> Array:
-    """Sum of u_i of every edge, channel by channel, and the number of its points (E, C + 1), in an image (H, W, C).
+    """Sum of u_i per edge and channel, and points (E, C + 1), in an image (H, W, C).
 
-    px, normal (N, 2) of the points, edge (N,) theirs; those that are not usable or not in the image do not count.
+    px, normal (N, 2), edge (N,); usable points inside the image only.
     """
     rows, columns, channels = image.shape
     total, g = np.zeros((edges, channels + 1)), np.empty(channels)
@@ -67,16 +56,15 @@ def across(image: NDArray[np.uint8], px: Array, normal: Array, edge: Indices, ed
 
 
 def log_likelihood_ratio(sums: list[Array], landmark: Indices, landmarks: int, kind: Indices) -> Array:
-    """log LR (L,) of standing against gone; sums: what across() gave of each image; of the edges: landmark and Kind (E,).
+    """log LR (L,), standing against gone; sums: across() of each image; landmark, kind (E,).
 
-    Images of one pair show the same texture, so their points count once.
+    Points count once per pair: its images show the same texture.
     """
     return np.asarray(_log_ratio(np.array(sums), landmark, landmarks, kind))
 
 
 @njit(cache=True)
 def _log_ratio(sums: Array, landmark: Indices, landmarks: int, kind: Indices) -> Array:
-    """log_likelihood_ratio (L,) of the sums (K, E, C + 1) of all images."""
     log_ratio, channels = np.zeros(landmarks), sums.shape[2] - 1
     for e in range(len(landmark)):
         if kind[e] == _SMALL:
@@ -102,5 +90,5 @@ def _log_ratio(sums: Array, landmark: Indices, landmarks: int, kind: Indices) ->
 
 
 def small_missed(log_ratio: Array, share: Array) -> Array:
-    """log LR (N,) of small landmarks, so far (N,) from their rims; share (N,): of each that is found where the fit says."""
+    """log LR (N,) of small landmarks, from that of their rims; share (N,) found in place."""
     return np.where(share < 0.5, math.log(_SPOT_HIDDEN / (1.0 - _SPOT_ELSEWHERE)), log_ratio)

@@ -1,11 +1,9 @@
-"""How well landmarks lie on edges of an image, moved by whole pixels and neither turned nor scaled, for many shifts at once.
+"""Votes of landmarks moved by whole pixels, many shifts at once.
 
     S_e(d) = sum_i f(x_i + d),    f = (g . n_e, |g . n_e|^2, |g|, |g|^2, 1)
     c_e = (|S_1|^2 - S_2) / (S_3^2 - S_4),        support_l = sum_{e of l} length_e c_e
 
-The votes of votes.py: a sum over all pairs of points is the square of the sum less the sum of squares. As all points move alike,
-S_e is f laid on itself, once for each point, and f is computed once for each pixel, not for every point and shift that meet
-there.
+As votes.py (pairs: square of the sum less sum of squares); f is computed once a pixel.
 """
 
 import numpy as np
@@ -28,9 +26,9 @@ def rigid_votes(
     field: Field, pixel: Indices, normal: Array, first: Indices, mark: Indices, length: Array, chroma: Array, marks: int,
     floor: float, expected: float, window: Window,
 ) -> Array:  # fmt: skip
-    """support - expected * length in view (L, V, U) px of each landmark moved by every d in the window, row by row.
+    """support - expected * length in view (L, V, U) px of each landmark at every d of the window.
 
-    pixel (N, 2): column and row of the points; normal (N, 2): of their edges; all the rest as for vote().
+    pixel (N, 2): column, row; normal (N, 2): of their edges; the rest as vote().
     """
     wide, high = window[1] - window[0] + 1, window[3] - window[2] + 1
     votes = np.zeros((marks, high, wide))
@@ -52,7 +50,6 @@ def rigid_votes(
 
 @njit(cache=True)
 def _around(pixel: Indices) -> Window:
-    """The box of points at pixel (N, 2)."""
     left = right = pixel[0, 0]
     top = bottom = pixel[0, 1]
     for i in range(1, len(pixel)):
@@ -63,7 +60,7 @@ def _around(pixel: Indices) -> Window:
 
 @njit(cache=True)
 def _into_view(rows: int, columns: int, pixel: Indices, window: Window) -> Window:
-    """The part of the window that brings something of points at pixel (N, 2) into an image; nothing: from is larger than to."""
+    """The window's part that brings points at pixel (N, 2) into an image; empty: from > to."""
     left, right, top, bottom = _around(pixel)
     first, last = max(window[0], 1 - right), min(window[1], columns - 2 - left)
     return first, last, max(window[2], 1 - bottom), min(window[3], rows - 2 - top)
@@ -71,9 +68,9 @@ def _into_view(rows: int, columns: int, pixel: Indices, window: Window) -> Windo
 
 @njit(cache=True)
 def _summed(field: Field, pixel: Indices, normal: Array, window: Window, floor: float, one: Planes, total: Planes) -> int:
-    """total (7, S) = S_e of all d in the window, row by row; returns how many columns a row has, noise beyond the window.
+    """total (7, S) = S_e of all d, row by row; returns columns per row, noise beyond the window.
 
-    one (7, B): room for f around points of one normal that are no farther apart than the window is large.
+    one (7, B): room for f around points of one normal, no farther apart than the window.
     """
     wide, high = window[1] - window[0] + 1, window[3] - window[2] + 1
     left, right, top, bottom = _around(pixel)
@@ -102,7 +99,7 @@ def _summed(field: Field, pixel: Indices, normal: Array, window: Window, floor: 
 
 @njit(cache=True)
 def _across(field: Field, normal: Array, box: Window, columns: int, floor: float, one: Planes) -> None:
-    """one (7, B) = f of the pixels of a box, rows `columns` apart, 0 where the camera saw nothing."""
+    """one (7, B) = f of a box' pixels, rows `columns` apart, 0 where unseen."""
     rows, widest = field.shape[0], field.shape[1]
     u, v, least, each = np.float32(normal[0]), np.float32(normal[1]), np.float32(floor), np.float32(1.0)
     for y in range(box[2], box[3] + 1):
@@ -127,10 +124,7 @@ def _add(total: Array | Planes, more: Planes) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _edge_votes(total: Planes, size: int, length: float, chroma: Array, expected: float, of_edge: Planes) -> None:
-    """of_edge (S,) = (c_e - expected) times the length in view, 0 where this is too little, of an edge's sums.
-
-    Without a branch, so that it is done for several shifts at once.
-    """
+    """of_edge (S,) = (c_e - expected) times length in view, 0 where too short; branchless for SIMD."""
     c0, c1, c2 = np.float32(chroma[0]), np.float32(chroma[1]), np.float32(chroma[2])
     each, tau = np.float32(length), np.float32(expected)
     none, whole, wrong, least = np.float32(0.0), np.float32(1.0), np.float32(WRONG_SIDE), np.float32(LEAST_POINTS)

@@ -1,4 +1,4 @@
-"""One reduced image of the coarse search, and the points on predicted outlines that vote in it."""
+"""One reduced image of the coarse search, and its voting points."""
 
 import math
 from collections.abc import Sequence
@@ -28,10 +28,9 @@ _NOWHERE = -(1 << 20)  # a pixel that nothing brings into the image
 
 
 class SearchLevel:
-    """A level of the image that `eye` took, in which about `points` points vote, of what is within reach_px of the image.
+    """A level of `eye`'s image with about `points` voting points within reach_px.
 
-    free, sides (L,): px of the level that the map leaves open of a landmark's position, and of its sides; growth_m (K, L): the
-    sizes in which landmarks are to be sought, as mapped first.
+    free, sides (L,): map's openness of position and sides, px of the level; growth_m (K, L): sizes to search, mapped first.
     """
 
     def __init__(
@@ -56,7 +55,7 @@ class SearchLevel:
         return np.array([c.fx, c.fy, c.cx, c.cy])
 
     def aimed(self, pose: Pose, shift_m: Array | None = None) -> Array:
-        """The points (N, 11) as vote() takes them, from a pose, of landmarks as mapped or off the map by shift_m (L, M)."""
+        """Points (N, 11) for vote(), from a pose, landmarks off the map by shift_m (L, M)."""
         assert self.edge_points is not None
         return self.edge_points.aimed(self._eye, pose, self._motion.gain[:, :2], shift_m)
 
@@ -67,7 +66,6 @@ class SearchLevel:
 
     @cached_property
     def _middle_n(self) -> Array:
-        """The same on the map (L, 3)."""
         assert self.edge_points is not None
         return self.edge_points.middles(len(self.free))
 
@@ -80,7 +78,7 @@ class SearchLevel:
         return max(1.3 * math.sqrt(float(np.nanmax(square))), 1.0) * self.level.size
 
     def vote(self, aimed: Array, su: Array, sv: Array) -> tuple[Array, Array]:
-        """Votes and length in view (L, U, V) px of the level, of the landmarks at shifts of points as aimed."""
+        """Votes and length in view (L, U, V) px of the level at shifts of aimed points."""
         assert self.edge_points is not None
         v, marks = self.edge_points, len(self.free)
         field = self.level.field(aimed, (float(su[0]), float(su[-1])), (float(sv[0]), float(sv[-1])))
@@ -88,9 +86,7 @@ class SearchLevel:
         return support - self._expected * length, length
 
     def rigid_votes(self, aimed: Array, window: Window) -> Array:
-        """The best votes (L, rows, columns) within what the map leaves open of each landmark's position, of landmarks as aimed
-        that are moved by all the whole pixels of a window.
-        """
+        """Best votes (L, rows, columns) within each landmark's map error, for whole-pixel shifts of a window."""
         assert self.edge_points is not None
         v, c, most = self.edge_points, self.camera, int(self.free.max())
         px = np.where(aimed[:, 2:3] > 0.0, np.rint(_seen(aimed) * c[:2] + c[2:]), _NOWHERE).astype(np.int64)
@@ -106,27 +102,26 @@ class SearchLevel:
         return np.ascontiguousarray(votes[:, most : votes.shape[1] - most, most : votes.shape[2] - most])
 
     def motions(self, pose: Pose, shift_m: Array) -> Array:
-        """How each landmark off the map by shift_m (L, M) moves with the pose (L, 2, 6), px of the image."""
+        """Motion (L, 2, 6) with the pose of landmarks off by shift_m (L, M), px."""
         assert self.edge_points is not None
         v, c, marks = self.edge_points, self.level.camera, len(self.free)
         p_nk, R_nk = self._eye.pose(*pose)
         return np.asarray(motions(v.moved(shift_m), pose[0], p_nk, R_nk, v.mark_of_point, marks, c.fx, c.fy) * self.level.size)
 
     def across(self, q: Array) -> Array:
-        """M (4, 4): outlines in view at q lie beside those at q' by (dq^T M dq)^(1/2) px across their edges, RMS."""
+        """M (4, 4): outlines at q and q' are (dq^T M dq)^(1/2) px apart across edges, RMS."""
         assert self.edge_points is not None
         aimed, c = self.aimed(self._motion.pose(self._motion.gain @ q)), self.level.camera
         return np.asarray(_across(aimed, self.camera, c.width, c.height, self.level.size, self._motion.middle + q[:2]))
 
 
 def _seen(aimed: Array) -> Array:
-    """x / z, y / z (N, 2)."""
     return np.asarray(aimed[:, :2] / aimed[:, 2:3])
 
 
 @njit(cache=True)
 def _across(aimed: Array, camera: Array, width: int, height: int, size: int, middle: Array) -> Array:
-    """Mean of (n^T B)^T (n^T B) (4, 4) over the points in view; n: their normals, B (2, 4) = (I, turned r, r): similarity(r)."""
+    """Mean of (n^T B)^T (n^T B) (4, 4) over points in view; n: normals, B (2, 4) = similarity(r)."""
     M, row, count = np.zeros((4, 4)), np.empty(4), 0
     for i in range(len(aimed)):
         x, y, z = aimed[i, 0], aimed[i, 1], aimed[i, 2]
@@ -146,6 +141,6 @@ def _across(aimed: Array, camera: Array, width: int, height: int, size: int, mid
 
 
 def _growths(open_m: Array, metre_px: Array) -> Array:
-    """Growths (K, L) m up to open_m (L,), none first; from the next of them sides are off by a pixel, as turns and scales."""
+    """Growths (K, L) m up to open_m (L,), none first, in steps of a pixel."""
     n = math.ceil(max(float(np.max(open_m * metre_px)) / 2.0 - 0.5, 0.0))
     return np.array(sorted(range(-n, n + 1), key=abs))[:, None] * (open_m / max(n, 1))

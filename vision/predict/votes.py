@@ -1,11 +1,9 @@
-"""How well outlines lie on edges of an image, for many shifts at once.
+"""Agreement of outlines with image edges, many shifts at once (docs/vision_predict.md).
 
     c_e = sum_{i != j} (g_i . n_i) . (g_j . n_j) / sum_{i != j} |g_i| |g_j|,      support = sum_e l_e c_e
 
-g_i: gradients of all channels at point i of an edge e, n_i its normal, l_e the edge's length in view. Pairs of points are
-compared: a step has the same sign and colour all along, so c is near 1; texture has not, and as no point is compared with itself
-its c is near 0 however few points there are. Contrast drops out: a shadow's rim has no more votes than a pale roof. An edge whose
-roof side is less of the map's colour than the other side loses most of its vote.
+g_i: gradients of all channels at point i of edge e, n_i its normal, l_e visible length. An edge with less of the map's colour
+inside than outside loses most of its vote.
 """
 
 import numpy as np
@@ -25,12 +23,11 @@ def vote(
     field: Field, camera: Array, aimed: Array, first: Indices, mark: Indices, length: Array, chroma: Array, marks: int,
     floor: float, su: Array, sv: Array,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Support and length in view (L, U, V) of each landmark at shifts su (U,), sv (V,) px.
+    """Support and length in view (L, U, V) per landmark at shifts su (U,), sv (V,) px.
 
-    camera: fx fy cx cy of the field's pixels; aimed (N, 11): of each point x_c, d x_c by a shift of 1 px in u, the same in v, and
-    the normal of its edge; first (E + 1,): points of edge e are first[e] to first[e + 1]; mark (E,): its landmark; length (E,):
-    px that one of its points stands for; chroma (E, 3): unit colour of the roof inside it, without the grey part, else 0;
-    marks: L; floor: of a gradient, so that smooth positions have no direction.
+    camera: fx fy cx cy; aimed (N, 11): x_c, d x_c per px in u and v, normal; first (E + 1,): points of edge e are first[e] to
+    first[e + 1]; mark (E,): landmark; length (E,): px a point; chroma (E, 3): unit roof colour less grey, else 0; marks: L;
+    floor: of a gradient.
     """
     rows, columns = field.shape[0], field.shape[1]
     pixels = field.reshape(rows * columns, field.shape[2])
@@ -77,10 +74,7 @@ def vote(
 
 @njit(cache=True, error_model="numpy")
 def _pixels_met(aimed: Array, camera: Array, su: Array, sv: Array, rows: int, columns: int, at: NDArray[np.int32]) -> None:
-    """Number at (S,) of the pixel that a point aimed (11,) meets at shifts su, sv (S,), -1 outside: K (x_c + su d_u + sv d_v).
-
-    Without a branch, so that it is done for several shifts at once.
-    """
+    """Pixel number at (S,) met by aimed (11,) at shifts su, sv (S,), -1 outside: K (x_c + su d_u + sv d_v); branchless."""
     fx, fy, cx, cy = camera[0], camera[1], camera[2] + 0.5, camera[3] + 0.5
     x, y, z, xv, yv, zv = aimed[0], aimed[1], aimed[2], aimed[6], aimed[7], aimed[8]
     xu, yu, zu = fx * aimed[3], fy * aimed[4], aimed[5]
@@ -95,9 +89,9 @@ def _pixels_met(aimed: Array, camera: Array, su: Array, sv: Array, rows: int, co
 
 @njit(cache=True)
 def aim(points: Array, direction: Array, p_n: Array, gain: Array, p_nk: Array, R_nk: Array, fx: float, fy: float) -> Array:
-    """Points (N, 3) on edges of direction (N, 3) as vote() takes them (N, 11); camera without distortion at p_nk, axes R_nk.
+    """Points (N, 3), direction (N, 3) as vote() takes them (N, 11); undistorted camera at p_nk, axes R_nk.
 
-    A shift of the image by one pixel moves the pose p_n by a column of gain (6, 2):  dx_c = R^T ([X - p]x dtheta - dp).
+    A shift by one pixel moves p_n by a column of gain (6, 2):  dx_c = R^T ([X - p]x dtheta - dp).
     """
     out = np.empty((len(points), 11))
     lever, turned = np.empty(3), np.empty(3)

@@ -1,8 +1,8 @@
-"""From light to grey values: blur of lens and motion, vignetting, exposure, colour cast, sensor noise, rounding.
+"""Light to grey values: blur, vignetting, exposure, cast, noise, rounding.
 
     value = exposure * cast * vignette(r) * (psf (*) motion (*) light),     sigma^2 = read^2 + shot * value
 
-The sensor is linear (no gamma): where an edge lies does not depend on its contrast.
+Linear sensor (no gamma).
 """
 
 import math
@@ -24,11 +24,11 @@ _BANK = 1 << 20  # normal numbers that all images draw from, each row beginning 
 
 @dataclass(frozen=True)
 class Conditions:
-    """How an image is taken.
+    """Conditions of an image.
 
-    exposure: factor on the light; cast_bgr: factors of the channels; vignetting: share of light lost in the corners; haze_per_m:
-    extinction (0.001 is a visual range of about 4 km); psf_sigma_px: of the lens; blur_px: way of the image over the sensor
-    during exposure (u, v), centred on the stamp; read_sigma: noise in the dark [grey values]; shot: variance per grey value.
+    exposure: factor; cast_bgr: channel factors; vignetting: loss in the corners; haze_per_m: extinction (0.001: 4 km visual
+    range); psf_sigma_px; blur_px: image motion (u, v) during exposure, centred; read_sigma: dark noise; shot: variance per grey
+    value.
     """
 
     exposure: float = 1.0
@@ -46,9 +46,9 @@ IDEAL = Conditions(vignetting=0.0, psf_sigma_px=0.0, read_sigma=0.0, shot=0.0)  
 
 
 def blur_of_motion(focal_px: float, velocity_c: Array, rate_c: Array, depth_m: float, exposure_s: float) -> tuple[float, float]:
-    """blur_px = -f exposure (v_xy / depth + (w_y, -w_x)), in the middle of the image, for ground at depth_m.
+    """blur_px = -f exposure (v_xy / depth + (w_y, -w_x)) at the middle, ground at depth_m.
 
-    velocity_c [m/s], rate_c [rad/s]: of the camera, in its own axes.
+    velocity_c [m/s], rate_c [rad/s]: camera axes.
     """
     du = -(velocity_c[0] / depth_m + rate_c[1])
     dv = -(velocity_c[1] / depth_m - rate_c[0])
@@ -56,7 +56,7 @@ def blur_of_motion(focal_px: float, velocity_c: Array, rate_c: Array, depth_m: f
 
 
 def expose(light: Grid, conditions: Conditions, vignette: Grid, rng: np.random.Generator) -> Image:
-    """The image (h, w, 3) of the light (h, w, 3) on the sensor; vignette (h, w): squared radius, 1 in the corners."""
+    """Image (h, w, 3) of light (h, w, 3); vignette (h, w): squared radius, 1 in the corners."""
     c = conditions
     if c.psf_sigma_px > 0.0:
         lens = _gauss(c.psf_sigma_px)
@@ -74,7 +74,6 @@ def expose(light: Grid, conditions: Conditions, vignette: Grid, rng: np.random.G
 def _read_out(
     light: Grid, gain: Grid, vignette: Grid, numbers: Grid, bank: Grid, starts: NDArray[np.int64], image: Image
 ) -> None:
-    """numbers: vignetting, variance in the dark, variance per grey value."""
     height, width, _ = light.shape
     vignetting, dark, shot = numbers
     zero, most = np.float32(0.0), np.float32(255.0)
@@ -90,14 +89,12 @@ def _read_out(
 
 @cache
 def _bank() -> Grid:
-    """Normal numbers, with room behind them for the longest row."""
     numbers = np.random.default_rng(20143).standard_normal(_BANK, dtype=np.float32)
     return np.concatenate([numbers, numbers[: 1 << 15]])
 
 
 @lru_cache(maxsize=64)
 def _gauss(sigma: float) -> Grid:
-    """Normal distribution over pixels' squares, cut at 3 sigma."""
     half = math.ceil(3.0 * sigma - 0.5)
     edges = (np.arange(-half, half + 2) - 0.5) / (sigma * math.sqrt(2.0))
     weights = np.diff([math.erf(x) for x in edges])
@@ -106,7 +103,6 @@ def _gauss(sigma: float) -> Grid:
 
 @lru_cache(maxsize=64)
 def _line(du: float, dv: float) -> Grid:
-    """Weights of a centred straight way (du, dv) over the pixels, by many points spread bilinearly."""
     half = math.ceil(0.5 * max(abs(du), abs(dv)))
     kernel = np.zeros((2 * half + 1, 2 * half + 1))
     n = 8 * (2 * half + 1)

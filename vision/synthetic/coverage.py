@@ -1,9 +1,8 @@
-"""Polygons to pixels by exact area: how much of each pixel's square a polygon covers.
+"""Exact area coverage of pixels by polygons.
 
     coverage[v, u] = area of  polygon ∩ [u - 1/2, u + 1/2] x [v - 1/2, v + 1/2]
 
-Every edge adds its signed area to a grid of differences; the running sum along a row is the coverage (Green's theorem on
-the pixel grid, as font rasterisers do it). So an edge has no width, no bias and no sampling: it is the true one to float32.
+Edges add signed areas to a difference grid; running sums give coverage (Green's theorem).
 """
 
 import numpy as np
@@ -31,7 +30,7 @@ def coverage(polygon_px: Array, width: int, height: int) -> Grid:
 
 @njit(cache=True)
 def bounds(polygon_px: Array, width: int, height: int) -> Box:
-    """The pixels a polygon may touch: rows [r0, r1), columns [c0, c1); all 0 where there are none."""
+    """Pixels a polygon may touch: rows [r0, r1), columns [c0, c1); 0 for none."""
     if len(polygon_px) == 0:
         return 0, 0, 0, 0
     u0, v0 = polygon_px[0]
@@ -48,7 +47,7 @@ def bounds(polygon_px: Array, width: int, height: int) -> Box:
 
 @njit(cache=True)
 def add_polygon(polygon_px: Array, differences: Grid) -> None:
-    """Adds the signed area of a polygon to `differences` (height, width + 2); several may be added before they are integrated."""
+    """Add a polygon's signed area to `differences` (height, width + 2)."""
     n = len(polygon_px)
     for k in range(n):
         m = k + 1 if k + 1 < n else 0
@@ -57,7 +56,7 @@ def add_polygon(polygon_px: Array, differences: Grid) -> None:
 
 @njit(cache=True)
 def integrate(differences: Grid, box: Box, covered: Grid) -> None:
-    """Running sums of the box into `covered`, |sum| <= 1; the differences of the box are cleared for the next polygon."""
+    """Running sums of the box into `covered`, |sum| <= 1; clears its differences."""
     r0, r1, c0, c1 = box
     for r in range(r0, r1):
         total = np.float32(0.0)
@@ -72,9 +71,9 @@ def integrate(differences: Grid, box: Box, covered: Grid) -> None:
 
 @njit(cache=True)
 def _add_edge(x0: float, y0: float, x1: float, y1: float, differences: Grid) -> None:
-    """One edge, in coordinates whose pixel (u, v) is the square [u, u + 1] x [v, v + 1], cut to the grid.
+    """One edge, pixel (u, v) being [u, u + 1] x [v, v + 1], cut to the grid.
 
-    Beyond the left and right borders the edge counts by its height only, so it is laid on the border there.
+    Beyond left and right borders it is laid on the border.
     """
     height, width = differences.shape[0], differences.shape[1] - 2
     if y0 == y1:
@@ -106,7 +105,7 @@ def _add_edge(x0: float, y0: float, x1: float, y1: float, differences: Grid) -> 
 
 @njit(cache=True)
 def _add_inside(x0: float, y0: float, x1: float, y1: float, sign: float, differences: Grid) -> None:
-    """An edge inside the grid, y0 < y1, row by row: what lies to its right gains its height `dy`, its own pixels a part."""
+    """An edge inside the grid, y0 < y1: `dy` to its right, a part on its pixels."""
     slope, least, most = (x1 - x0) / (y1 - y0), min(x0, x1), max(x0, x1)
     row, y, x = int(y0), y0, x0
     while y < y1 and row < differences.shape[0]:

@@ -1,10 +1,9 @@
-"""The faces of the solids that a camera sees, nearest first, as polygons on the normalised plane and maps to their textures.
+"""Visible faces of solids, nearest first, as polygons and texture maps.
 
     (s w, t w, w) = H @ (x/z, y/z, 1),      range along the ray = k |(x/z, y/z, 1)| / w
 
-H takes a ray of the camera to a position on the face [m]: with a face through q of axes a, b and normal m, seen from p along r,
-s w = (a.(p - q) m + m.(q - p) a).r,  w = m.r,  k = m.(q - p). Faces are cut to a little more than the image, and cut again
-into short pieces, so that a lens may bend them.
+H: camera ray to face position [m]; for a face through q of axes a, b, normal m, seen from p along r,
+s w = (a.(p - q) m + m.(q - p) a).r,  w = m.r,  k = m.(q - p). Faces are cut to the image, and into short pieces for the lens.
 """
 
 import math
@@ -30,7 +29,7 @@ CONTRAST, RIDGE, RANGE, SHIFT_S, SHIFT_T, FLAT = range(6)  # columns of Faces.pa
 
 
 class View(NamedTuple):
-    """Camera pose, and the part of the normalised plane it shows: least and greatest x/z, least and greatest y/z."""
+    """Camera pose, and limits of x/z and y/z."""
 
     p_nc: Array
     R_nc: Array
@@ -39,7 +38,7 @@ class View(NamedTuple):
 
 
 class Faces(NamedTuple):
-    """F faces of S solids, nearest solid first; faces of a solid nearest first. Vertices are rays (V, 3) of z = 1."""
+    """F faces of S solids, nearest first; vertices are rays (V, 3) of z = 1."""
 
     vertices: Array
     offsets: Indices  # (F + 1,) into vertices
@@ -52,7 +51,7 @@ class Faces(NamedTuple):
 
 
 def visible_faces(columns: Columns, view: View, sun_n: Array, ambient: float) -> Faces:
-    """What may be seen of the solids. Walls are lit by the sun's angle to them, relative to level ground."""
+    """Faces that may be seen; walls lit by the sun's angle, relative to level ground."""
     c = columns
     found = _collect(
         c.vertices, c.offsets, c.base_d, c.height_m, c.centre_n, c.radius_m, c.roof_bgr, c.wall_bgr, c.textures, c.contrasts,
@@ -63,7 +62,7 @@ def visible_faces(columns: Columns, view: View, sun_n: Array, ambient: float) ->
 
 @njit(cache=True)
 def in_frustum(centre: Array, radius: float, p_nc: Array, R_nc: Array, limits: Array) -> bool:
-    """Whether a sphere (centre in n) may touch what the camera shows."""
+    """Whether a sphere (centre in n) touches the view."""
     x = np.zeros(3)
     for k in range(3):
         for i in range(3):
@@ -134,7 +133,6 @@ def _collect(
 def _in_view(
     base_d: Array, height_m: Array, centre_n: Array, radius_m: Array, p_nc: Array, R_nc: Array, limits: Array
 ) -> Indices:
-    """The solids whose spheres touch what the camera shows."""
     seen, count, middle = np.empty(len(base_d), dtype=np.int64), 0, np.empty(3)
     for i in range(len(base_d)):
         middle[0], middle[1], middle[2] = centre_n[i, 0], centre_n[i, 1], base_d[i] - 0.5 * height_m[i]
@@ -157,7 +155,6 @@ def in_camera(polygon: Array, p_nc: Array, R_nc: Array) -> Array:
 
 @njit(cache=True)
 def _roof(outline: Array, roof_d: float, centre_n: Array, orientation: float, axes: Array) -> Array:
-    """Corners (K, 3); into axes (4, 3): origin, direction of s (along the roof), of t (across), normal away from the camera."""
     polygon = np.empty((len(outline), 3))
     for k in range(len(outline)):
         polygon[k, 0], polygon[k, 1], polygon[k, 2] = outline[k, 0], outline[k, 1], roof_d
@@ -171,7 +168,6 @@ def _roof(outline: Array, roof_d: float, centre_n: Array, orientation: float, ax
 
 @njit(cache=True)
 def _wall(a: Array, b: Array, roof_d: float, base_d: float, axes: Array) -> Array:
-    """The same for the wall below the edge from a to b: s runs along the wall, t down."""
     polygon, length = np.empty((4, 3)), math.hypot(b[0] - a[0], b[1] - a[1])
     axes[:] = 0.0
     for k in range(2):
@@ -186,7 +182,6 @@ def _wall(a: Array, b: Array, roof_d: float, base_d: float, axes: Array) -> Arra
 
 @njit(cache=True)
 def _light(inwards: Array, sun_n: Array, ambient: float) -> float:
-    """Light on a wall as a share of that on level ground; a wall sees little more than half of the sky."""
     sunlit = max(0.0, -(inwards[0] * sun_n[0] + inwards[1] * sun_n[1]))
     level = ambient - (1.0 - ambient) * sun_n[2]
     return float((SKY * ambient + (1.0 - ambient) * sunlit) / level)
@@ -194,7 +189,6 @@ def _light(inwards: Array, sun_n: Array, ambient: float) -> float:
 
 @njit(cache=True)
 def _order_of_walls(outline: Array, p_nc: Array, stands: bool) -> Indices:
-    """The roof (-1), then the walls that face the camera, nearest first."""
     k = len(outline)
     order, far = np.full(k + 1, -1, dtype=np.int64), np.full(k + 1, -1.0)
     count = 1
@@ -216,13 +210,13 @@ def _order_of_walls(outline: Array, p_nc: Array, stands: bool) -> Indices:
 
 @njit(cache=True, inline="always")
 def _outside(a: Array, b: Array, x: Array) -> Scalar:
-    """How far x lies outside the edge from a to b of an anticlockwise outline, times the edge's length."""
+    """Distance of x outside edge a to b of an anticlockwise outline, times its length."""
     return (b[0] - a[0]) * (x[1] - a[1]) - (b[1] - a[1]) * (x[0] - a[0])
 
 
 @njit(cache=True)
 def _to_plane(axes: Array, p: Array, R: Array, reach: float, H: Array) -> None:
-    """Fill H (3, 3), the map from a ray in the camera, whose axes are R, to (s w, t w, w); reach: m . (q - p)."""
+    """Fill H (3, 3): ray in the camera (axes R) to (s w, t w, w); reach: m . (q - p)."""
     for row in range(3):
         off = 0.0
         for i in range(3):
@@ -236,7 +230,7 @@ def _to_plane(axes: Array, p: Array, R: Array, reach: float, H: Array) -> None:
 
 @njit(cache=True)
 def clip(polygon_c: Array, limits: Array) -> Array:
-    """The part of a polygon (K, 3) before the camera and within its limits (Sutherland and Hodgman 1974)."""
+    """A polygon (K, 3) before the camera within its limits (Sutherland and Hodgman 1974)."""
     kept = polygon_c
     for plane in range(_CUTS):
         n = len(kept)
@@ -269,7 +263,7 @@ def clip(polygon_c: Array, limits: Array) -> Array:
 
 @njit(cache=True)
 def append(points: Array, start: int, polygon_c: Array, piece: float) -> tuple[Array, int]:
-    """The polygon's corners and points between them as rays of z = 1, from row `start`; the table (grown if need be), its end."""
+    """Corners and points between as rays of z = 1 from row `start`; the table, perhaps grown, its end."""
     n, end = len(polygon_c), start
     for i in range(n if n >= 3 else 0):
         j = i + 1 if i + 1 < n else 0
@@ -291,9 +285,9 @@ def append(points: Array, start: int, polygon_c: Array, piece: float) -> tuple[A
 def nearest_first(
     seen: Indices, vertices: Array, offsets: Indices, height_m: Array, centre_n: Array, radius_m: Array, p_nc: Array
 ) -> Indices:
-    """Standing solids such that none hides one before it, then what lies flat, the last laid first.
+    """Standing solids, occluders first, then flat ones, the last laid first.
 
-    Of two outlines with a straight line between them the one on the camera's side cannot be hidden by the other.
+    A separating line decides which of two is in front.
     """
     n = len(seen)
     order, distance = np.empty(n, dtype=np.int64), np.empty(n)
@@ -333,7 +327,6 @@ def nearest_first(
 
 @njit(cache=True)
 def _shadows_meet(a: Array, radius_a: float, b: Array, radius_b: float, p: Array) -> bool:
-    """Whether two circles lie in one direction from the camera."""
     an, ae, bn, be = a[0] - p[0], a[1] - p[1], b[0] - p[0], b[1] - p[1]
     far_a, far_b = math.hypot(an, ae), math.hypot(bn, be)
     if far_a <= radius_a or far_b <= radius_b:
@@ -344,7 +337,6 @@ def _shadows_meet(a: Array, radius_a: float, b: Array, radius_b: float, p: Array
 
 @njit(cache=True)
 def _in_front(first: Array, second: Array, p: Array) -> bool:
-    """Whether the first outline is on the camera's side of a line that separates the two; else whether it is nearer."""
     for a, b, nearer_inside in ((first, second, True), (second, first, False)):
         for k in range(len(a)):
             start, end = a[k], a[(k + 1) % len(a)]

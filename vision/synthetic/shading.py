@@ -1,9 +1,8 @@
-"""From faces and ground to light: what reaches each pixel, nearest first.
+"""Light at each pixel, nearest face first.
 
     image = sum_i T_i a_i c_i + T_ground c_ground,     T_i+1 = T_i (1 - a_i)
 
-a is the share of the pixel's square that a solid covers. Faces of one solid do not overlap where both are seen, so within a
-solid shares add up, to 1 at most: no ground shines through where a roof meets a wall.
+a: share of the pixel covered. Shares of one solid's faces add up, to 1 at most.
 """
 
 import math
@@ -32,9 +31,9 @@ def paint_solids(
     offsets: Indices, solids: Indices, solid_offsets: Indices, H: Array, colour: Array, texture: Indices, parameters: Array,
     surfaces: Grid, focal: float, haze: Array,
 ) -> None:  # fmt: skip
-    """Adds the solids' light to `image` (h, w, 3); `through` (h, w) is what they leave of the light from behind them.
+    """Add the solids' light to `image` (h, w, 3); `through` (h, w): light left from behind.
 
-    shadow: share of each pixel's ground in shadow, where light is shadow_light; haze: extinction per m and its colour.
+    shadow: share of ground in shadow, of light shadow_light; haze: extinction per m, colour.
     """
     height, width = through.shape
     differences = np.zeros((height, width + 2), dtype=np.float32)
@@ -67,7 +66,6 @@ def _paint(
     image: Grid, through: Grid, taken: Grid, covered: Grid, box: tuple[int, int, int, int], shadow: Grid, shadow_light: float,
     rays: Grid, H: Array, colour: Array, parameters: Array, surface: Grid, focal: float, haze: Array,
 ) -> None:  # fmt: skip
-    """One face: its share of each pixel, its texture there, dimmed by haze and, lying flat, by shadows."""
     (r0, r1, c0, c1), to_plane = box, H.astype(np.float32)
     contrast, ridge = np.float32(parameters[CONTRAST]), np.float32(parameters[RIDGE] / _RIDGE_M)
     dim = np.float32((1.0 - shadow_light) * parameters[FLAT])
@@ -105,7 +103,7 @@ def paint_ground(
     cover_size: int, cover_texel: float, detail: Grid, detail_size: int, detail_texel: float, tint: Array, contrast: float,
     focal: float, haze: Array,
 ) -> None:  # fmt: skip
-    """Adds the ground's light, or the sky's, where `through` lets it pass. H maps rays to the ground's own axes [m]."""
+    """Add the ground's or sky's light where `through` passes; H: rays to ground axes [m]."""
     (height, width), to_plane = through.shape, H.astype(np.float32)
     dim, strength, half, one = np.float32(1.0 - shadow_light), np.float32(contrast), np.float32(0.5), np.float32(1.0)
     tint_b, tint_g, tint_r = np.float32(tint[0]), np.float32(tint[1]), np.float32(tint[2])
@@ -147,14 +145,12 @@ def paint_ground(
 
 @njit(cache=True, fastmath=True, inline="always")
 def _place(H: Grid, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
-    """Where a ray meets a plane, in the plane's axes [m]."""
     w = np.float32(1.0) / (H[2, 0] * x + H[2, 1] * y + H[2, 2])
     return (H[0, 0] * x + H[0, 1] * y + H[0, 2]) * w, (H[1, 0] * x + H[1, 1] * y + H[1, 2]) * w
 
 
 @njit(cache=True, inline="always")
 def _slope(H: Array, x: Scalar, y: Scalar) -> Scalar:
-    """Sine of the angle at which a ray falls on a plane."""
     return (H[2, 0] * x + H[2, 1] * y + H[2, 2]) / math.sqrt(1.0 + x * x + y * y)
 
 
@@ -166,7 +162,7 @@ def _clear(H: Array, x: Scalar, y: Scalar, reach: float, extinction: float) -> S
 
 @njit(cache=True, inline="always")
 def _lod(H: Array, x: Scalar, y: Scalar, focal: float, texel_m: float) -> float:
-    """log2 of texels per pixel: root mean square of the four derivatives of (s, t) by pixels."""
+    """log2 of texels per pixel: RMS of the derivatives of (s, t)."""
     w = H[2, 0] * x + H[2, 1] * y + H[2, 2]
     s, t = (H[0, 0] * x + H[0, 1] * y + H[0, 2]) / w, (H[1, 0] * x + H[1, 1] * y + H[1, 2]) / w
     a, b = (H[0, 0] - s * H[2, 0]) / w, (H[0, 1] - s * H[2, 1]) / w

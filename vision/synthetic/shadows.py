@@ -1,8 +1,7 @@
-"""Shadows that standing solids cast on level ground.
+"""Shadows of standing solids on level ground.
 
-A prism's shadow is its footprint swept along s = height * (horizontal direction away from the sun) / tan(elevation): the union
-of footprint, shifted roof and one quadrilateral per edge. All run the same way round, so their areas add up to at least 1
-inside the union, and 1 is where coverage ends.
+Footprint swept along s = height * (away from the sun) / tan(elevation): union of footprint, shifted roof and a quadrilateral per
+edge, all of one orientation, so areas add to >= 1 inside.
 """
 
 import math
@@ -17,7 +16,7 @@ from vision.synthetic.world import Columns, Sun
 
 
 def shadow_polygons(columns: Columns, view: View, sun: Sun, ground_d: float) -> tuple[Array, Indices, Indices]:
-    """Rays (V, 3) of z = 1, offsets of polygons into them, offsets of solids into the polygons."""
+    """Rays (V, 3) of z = 1, polygon offsets, solid offsets."""
     away = -sun.direction_n[:2] / math.tan(sun.elevation_rad) / math.cos(sun.elevation_rad)
     c = columns
     return _collect(c.vertices, c.offsets, c.height_m, c.centre_n, c.radius_m, away, ground_d, *view)

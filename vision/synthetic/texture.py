@@ -1,9 +1,8 @@
-"""Periodic textures and their mip pyramids, and the compiled lookup that neither aliases far away nor breaks up close by.
+"""Periodic textures with mip pyramids and trilinear lookup.
 
     value(s, t) = (1 - f) bilinear(level l; s, t) + f bilinear(level l + 1; s, t),   l + f = log2(texels per pixel)
 
-(Williams 1983.) Level l + 1 is the 2 x 2 mean of level l, so the bilinear footprint follows the pixel. Textures are made once
-a process from fixed seeds; worlds differ by where and how they lay them.
+(Williams 1983.) Made once a process from fixed seeds; worlds differ by placement.
 """
 
 import math
@@ -30,7 +29,7 @@ _FINE_ENOUGH = 0.03  # share of the next level that is not worth its lookup
 
 
 def pyramid(image: Grid) -> Grid:
-    """All levels of a square image of 2^k texels a side (n, n[, channels]), level after level: (sum of n^2[, channels])."""
+    """All levels of a square image of 2^k texels (n, n[, channels]): (sum of n^2[, channels])."""
     n = image.shape[0]
     if image.shape[1] != n or n & (n - 1):
         raise ValueError(f"a texture must be square, with a power of two of texels a side: {image.shape}")
@@ -43,13 +42,13 @@ def pyramid(image: Grid) -> Grid:
 
 
 def texels_a_side(levels: Grid) -> int:
-    """n of a pyramid's finest level, from its sum n^2 + n^2 / 4 + ... + 1 = (4 n^2 - 1) / 3."""
+    """n of the finest level, from n^2 + n^2 / 4 + ... + 1 = (4 n^2 - 1) / 3."""
     return math.isqrt(3 * len(levels) // 4 + 1)
 
 
 @njit(cache=True, fastmath=True, inline="always")
 def level_of(size: int, lod: float) -> tuple[Scalar, Scalar, Scalar]:
-    """Where the level below `lod` begins in a pyramid, its size, and the share of the next level (little of it: 0)."""
+    """Start and size of the level below `lod`, and share of the next (small: 0)."""
     start = 0
     while lod >= 1.0 and size > 2:
         start += size * size
@@ -61,7 +60,7 @@ def level_of(size: int, lod: float) -> tuple[Scalar, Scalar, Scalar]:
 
 @njit(cache=True, fastmath=True, inline="always")
 def _taps(start: Scalar, size: Scalar, s: Scalar, t: Scalar) -> Taps:
-    """Four texels around (s, t), in texels of a level (texel i is centred at i + 1/2), and how far along it lies."""
+    """Four texels around (s, t) (texel i centred at i + 1/2), and fractions."""
     s, t = s - np.float32(0.5), t - np.float32(0.5)
     fs, ft = np.floor(s), np.floor(t)
     mask, si, ti = np.int32(size - 1), np.int32(fs), np.int32(ft)
@@ -123,7 +122,6 @@ def bounded(field: Grid | Array) -> Grid:
 
 
 def _shingles(rng: np.random.Generator) -> Array:
-    """Staggered rows of tiles 0.32 m wide and 0.32 m high, each of its own shade, with a dark line under every row."""
     n, width, height = SURFACE_SIZE, 16, 16
     row, column = np.mgrid[:n, :n]
     course = row // height
@@ -134,14 +132,12 @@ def _shingles(rng: np.random.Generator) -> Array:
 
 
 def _gravel(rng: np.random.Generator) -> Array:
-    """A flat roof: gravel, darker where water stood, with the seams of its sheets every 2.56 m."""
     n = SURFACE_SIZE
     row = np.arange(n)[:, None] % 128
     return np.asarray(0.7 * noise(n, 0.2, rng) + 0.7 * noise(n, 1.6, rng, finest=16.0) - 0.8 * (row < 3))
 
 
 def _metal(rng: np.random.Generator) -> Array:
-    """Sheet metal: a rib every 0.32 m, streaks along the ribs."""
     n = SURFACE_SIZE
     rib = np.cos(2 * np.pi * np.arange(n) / 16)[None, :] ** 3
     streaks = cv2.blur(np.tile(noise(n, 0.5, rng), (3, 1)), (1, 129))[n : 2 * n]
@@ -149,7 +145,6 @@ def _metal(rng: np.random.Generator) -> Array:
 
 
 def _wall(rng: np.random.Generator) -> Array:
-    """Plaster with dark windows: 1.1 m wide every 2.56 m, 1.3 m high every 2.56 m."""
     n = SURFACE_SIZE
     row, column = np.mgrid[:n, :n]
     window = (row % 128 > 40) & (row % 128 < 105) & (column % 128 > 36) & (column % 128 < 92)

@@ -1,8 +1,4 @@
-"""What of each landmark is to be seen in an image: corners, stretches of roof edge, sides, and how much is hidden or cut.
-
-A point is hidden where the line of sight to it passes through a solid: its part between a solid's roof and base, drawn on the
-map, meets the outline. Computed from the prisms alone, independently of the renderer's order of painting.
-"""
+"""Visible parts of each landmark in an image, computed from the prisms, independent of the renderer."""
 
 import math
 from dataclasses import dataclass
@@ -24,7 +20,7 @@ _BEFORE = 1.0 - 1e-6  # a line of sight ends just before the point, so that its 
 
 @dataclass(frozen=True)
 class Stretch:
-    """A visible stretch of the roof edge from corner `edge` to the next: shares 0..1 of its length, pixels (N, 2) along it."""
+    """A visible stretch of the roof edge from corner `edge`: shares 0..1, pixels (N, 2)."""
 
     edge: int
     start: float
@@ -36,9 +32,8 @@ class Stretch:
 class LandmarkView:
     """One landmark in one image.
 
-    corners_px: of the roof (K, 2), NaN behind the camera; corners_visible (K,): in the image and not hidden;
-    sides_visible (K,): walls of which something is seen; occluded: share of the roof's edge within the image that is hidden;
-    cut: the image's border cuts the roof.
+    corners_px: roof (K, 2), NaN behind the camera; corners_visible, sides_visible (K,); occluded: hidden share of the roof's edge
+    in the image; cut: by the border.
     """
 
     id: str
@@ -62,7 +57,6 @@ def landmark_views(world: World, camera: CameraModel, p_nc: Array, R_nc: Array) 
 
 
 def _may_be_seen(world: World, index: int, camera: CameraModel, p_nc: Array, R_nc: Array) -> bool:
-    """Whether the camera's widest cone may hold the landmark's sphere."""
     mark = world.landmarks[index]
     radius = math.hypot(float(world.columns.radius_m[index]), 0.5 * mark.height_m)
     x_c = R_nc.T @ (np.array([*world.columns.centre_n[index], mark.base_d - 0.5 * mark.height_m]) - p_nc)
@@ -102,7 +96,6 @@ def _landmark_view(world: World, index: int, camera: CameraModel, p_nc: Array, R
 
 
 def _along(a: Array, b: Array, camera: CameraModel, p_nc: Array, R_nc: Array) -> tuple[Array, Array]:
-    """Points of an edge about _STEP_PX apart, both ends included, and their shares of its length."""
     depth = max(0.1, float(min((a - p_nc) @ R_nc[:, 2], (b - p_nc) @ R_nc[:, 2])))
     n = max(2, min(4000, math.ceil(float(np.linalg.norm(b - a)) * camera.fx / depth / _STEP_PX) + 1))
     shares = np.linspace(0.0, 1.0, n)
@@ -110,14 +103,12 @@ def _along(a: Array, b: Array, camera: CameraModel, p_nc: Array, R_nc: Array) ->
 
 
 def _stretches(edge: int, shares: Array, px: Array, visible: Mask) -> list[Stretch]:
-    """Runs of visible points."""
     steps = np.flatnonzero(np.diff(np.concatenate(([0], visible.astype(np.int8), [0]))))
     runs = steps.reshape(-1, 2)
     return [Stretch(edge, float(shares[i]), float(shares[j - 1]), px[i:j]) for i, j in runs if j - i > 1]
 
 
 def _wall_seen(world: World, index: int, a: Array, b: Array, camera: CameraModel, p_nc: Array, R_nc: Array) -> bool:
-    """Whether anything of a wall that faces the camera is in the image and not hidden: a grid of 12 x 5 points."""
     along, down = np.meshgrid(np.linspace(0.02, 0.98, 12), np.linspace(0.02, 0.98, 5))
     points = a + along.ravel()[:, None] * (b - a)
     points[:, 2] += down.ravel() * world.landmarks[index].height_m
@@ -135,7 +126,6 @@ def _blocked(
     points: Array, p: Array, vertices: Array, offsets: Indices, base_d: Array, height_m: Array, centre_n: Array,
     radius_m: Array,
 ) -> Mask:  # fmt: skip
-    """Which points (N, 3) a standing solid hides from p."""
     hidden = np.zeros(len(points), dtype=np.bool_)
     for i in range(len(points)):
         x = points[i]
@@ -160,7 +150,6 @@ def _blocked(
 
 @njit(cache=True)
 def _meets(outline: Array, n0: float, e0: float, n1: float, e1: float) -> bool:
-    """Whether a stretch on the map crosses an outline or begins inside it."""
     k, inside = len(outline), False
     for i in range(k):
         a, b = outline[i], outline[(i + 1) % k]

@@ -1,16 +1,9 @@
-"""Before the heading is known: what may be published, and where a first heading may come from.
-
-A vehicle at rest, a boat, a hovering copter or a plane in straight flight shows no heading by its accelerations, but position,
-velocity, roll and pitch are known. They are published from the bank of headings, its spread in the covariance (the moments of a
-Gaussian sum), in a mode of their own:
+"""Estimates before the heading is known, and first headings (docs/estimator.md, section 6).
 
     P = sum_k w_k (P_k + d_k d_k^T),   d_k = x_k (-) x_lead                                      (Bar-Shalom 2001, eq. 1.4.16)
 
-For n equal headings all around this is a yaw sigma of pi / sqrt(3), 104 degrees, that of no knowledge.
-
-A filter whose heading is wrong takes tilt for accelerometer bias, and turns the one into the other as its heading is
-corrected: it gains what cannot be known (false observability; Huang, Mourikis and Roumeliotis 2010). So nothing is published of
-the accelerometer bias, the tilt has the variance of levelling on top, the heading has three times its sigma, the gyro bias twice.
+A wrong heading falsely gains information on tilt and accelerometer bias (Huang, Mourikis and Roumeliotis 2010): that bias is
+published as unknown, tilt with the levelling variance added, heading sigma x 3, gyro bias sigma x 2.
 """
 
 import math
@@ -43,7 +36,7 @@ _SHARPEST = 0.35  # rad: a course that is less well known than this is none
 
 
 def widen_unaligned(cov: Array, bank: Hypotheses, config: InitialiseConfig) -> None:
-    """P (15, 15) of all headings together, in place, as it may be published before the alignment."""
+    """P (15, 15) of all headings together, in place, as published before alignment."""
     down_b = so3.matrix(bank.lead.x[X.Q])[2]
     heading = float(down_b @ cov[E.THETA, E.THETA] @ down_b)
     more = min(8.0 * heading, max(initialise.NO_HEADING**2 - heading, 0.0))
@@ -55,7 +48,7 @@ _T, _G, _A, _N = E.THETA.start, E.BG.start, E.BA.start, E.SIZE  # compiled code 
 
 @njit(cache=True, error_model="numpy")
 def _widen(cov: Array, down_b: Array, heading: float, tilt: float, accel_bias: float) -> None:
-    """P (15, 15), in place: variances heading and tilt added, that of the gyro bias x 4, accel_bias in place of its own."""
+    """P (15, 15), in place: heading and tilt variances added, gyro bias variance x 4, accel_bias replaced."""
     for i in range(3):
         for j in range(3):
             cov[_T + i, _T + j] += heading * (down_b[i] * down_b[j])
@@ -69,14 +62,14 @@ def _widen(cov: Array, down_b: Array, heading: float, tilt: float, accel_bias: f
 
 @dataclass(slots=True)
 class Resting:
-    """All headings of a vehicle at rest, side by side, equally likely: there no reading is evidence for one of them."""
+    """All headings of a vehicle at rest, equally likely: no reading distinguishes them."""
 
     bank: Hypotheses
     unforeseen: int = 0
 
     @property
     def is_refuted(self) -> bool:
-        """The positions say that it is elsewhere."""
+        """Positions contradict it."""
         return self.unforeseen >= _REFUTED
 
     def copy(self) -> "Resting":
@@ -95,16 +88,14 @@ class Resting:
 
 @dataclass(slots=True)
 class WithoutSensor:
-    """The headings of the circle, weighed by all but the sensor that measures one, until motion has shown that it is right.
+    """A bank without the heading sensor, until motion shows the sensor right.
 
-    A magnetometer with wrong axes, or next to steel, cannot be detected at rest. odds: ln of P(without) / P(with), which
-    begins with the share e of sensors that are wrong:
+    Wrong axes or steel cannot be detected at rest. odds: ln of P(without) / P(with), from the share e of wrong sensors:
 
         odds <- max(odds + ln p(z | without) - ln p(z | with), ln e)
 
-    A bank that has just begun knows less of the velocity; that is no evidence for the sensor, so odds are never below ln e.
-    At rest no reading is evidence: the noise of GNSS alone would sooner or later refute every sensor.
-    since: the position at which the vehicle may rest, None where it has moved.
+    The bound: a new bank knows less of the velocity. Readings at rest do not count: GNSS noise would refute every sensor. since:
+    position of the possible rest, or None.
     """
 
     bank: Hypotheses
@@ -119,7 +110,7 @@ class WithoutSensor:
         return WithoutSensor(self.bank.copy(), self.stretch, self.topic, self.began_ns, self.since, self.odds)
 
     def take(self, aid: Aid, z: Measurement, gyro_b: Array, trusting: Hypotheses, *, at_rest: bool) -> None:
-        """Fuse a measurement of another sensor, which those who trust this one have not fused yet."""
+        """Fuse another sensor's measurement, not yet fused by those who trust this one."""
         if not at_rest:
             gained = initialise.evidence(self.bank, aid, z, gyro_b) - initialise.evidence(trusting, aid, z, gyro_b)
             self.odds = max(self.odds + gained, math.log(_WRONG_SENSORS))
@@ -136,18 +127,18 @@ class WithoutSensor:
 
     @property
     def knows_heading(self) -> bool:
-        """Motion has shown the attitude to it as well as a good sensor shows the heading."""
+        """Motion has shown the attitude as well as a good sensor shows the heading."""
         return float(self.bank.lead.cov.diagonal()[E.THETA].max()) < _KNOWN**2
 
     def disagrees(self, lead: Eskf) -> bool:
-        """Its attitude, known well by now, is another one than that of the filter with the sensor."""
+        """Whether its well-known attitude differs from that of the filter with the sensor."""
         without = self.bank.lead
         off = local(lead.x, without.x)[E.THETA]
         cov = lead.cov[E.THETA, E.THETA] + without.cov[E.THETA, E.THETA]
         return bool(off @ np.linalg.solve(cov, off) > gate(_AGREE, 3))
 
     def mixed(self, cov: Array, x: Array) -> Array:
-        """Covariance (15, 15) of the error of x, whose own is cov, where the sensor may be wrong:
+        """Covariance (15, 15) of x, own covariance cov, where the sensor may be wrong:
 
         (1 - w) P + w (P_without + d d^T),   d = x_without (-) x,   w = 1 / (1 + exp(-odds)),   once w is larger than 0.1
         """
@@ -158,12 +149,11 @@ class WithoutSensor:
 
 
 def level_again(lead: Eskf, at: Level, config: InitialiseConfig) -> None:
-    """Of a vehicle at rest only the sum of tilt and accelerometer bias shows: in place, either is as unknown as at the start.
+    """Level again: at rest only the sum of tilt and accelerometer bias is observable.
 
         P <- M P M^T + N,   M_theta = M_ba = d d^T,   N = blockdiag(.., sigma_tilt^2 (I - d d^T), .., sigma_ba^2 (I - d d^T))
 
-    d: down in the body. Tilt is levelled, the bias across d is 0. A linear filter tells them apart as its heading is corrected,
-    which is no knowledge.
+    d: down in the body. In place: tilt levelled, bias across d zero.
     """
     lead.x[X.Q] = so3.from_euler(at.roll, at.pitch, so3.to_euler(lead.x[X.Q])[2])
     down_b = so3.matrix(lead.x[X.Q])[2]
@@ -177,7 +167,7 @@ def level_again(lead: Eskf, at: Level, config: InitialiseConfig) -> None:
 
 
 def from_course(z: Velocity, at: Level, config: InitialiseConfig) -> Pose | None:
-    """The attitude of a vehicle that moves along its nose, None where none shows.
+    """Attitude of a vehicle that moves along its nose; None where it does not.
 
     psi = atan2(v_e, v_n),   sigma_psi^2 = sigma_course^2 + sigma_v^2 / v^2;  roll and pitch as levelled.
     """

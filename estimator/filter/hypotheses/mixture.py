@@ -1,9 +1,8 @@
-"""The covariance of the hypotheses together: that of the mixture about the leading state.
+"""Covariance of the mixture of hypotheses about the leading state.
 
     P = f sum w_k (P_k + d_k d_k^T / f),   d_k = x_k (-) x,   w_k ~ exp(weight + benefit)
 
-f: the variance of unit weight. (Bar-Shalom, Li, Kirubarajan 2001, Estimation with Applications to Tracking and Navigation,
-1.4.16.)
+f: the variance of unit weight. (Bar-Shalom, Li, Kirubarajan 2001, 1.4.16.)
 """
 
 import math

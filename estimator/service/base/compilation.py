@@ -1,7 +1,7 @@
-"""numba's compiler: what it is at, and whether what it has left in its cache is still true.
+"""numba's compiler: what it compiles now, and validity of its cache.
 
-numba looks at the file that a kernel stands in. One that calls a kernel of another file, or reads a constant of it, would stay as
-it was when that file changes, so all compiled kernels are forgotten when any file has changed that may go into one.
+numba checks a kernel's own file only. Kernels also use kernels and constants of other files, so any changed file discards all
+compiled kernels.
 """
 
 import time
@@ -38,14 +38,14 @@ class _Listener(event.Listener):
         self._depth += 1
 
     def on_end(self, event: Any) -> None:  # noqa: ARG002
-        """It is done, or has failed."""
+        """A kernel is compiled, or failed."""
         self._depth -= 1
         if self._depth == 0:
             self._heard("", time.perf_counter() - self._since_s)
 
 
 def listen(heard: Heard) -> None:
-    """Call `heard` from now on when this process compiles; a kernel that is loaded from the cache is not compiled."""
+    """Call `heard` when this process compiles; cached kernels are not compiled."""
     event.register("numba:compile", _Listener(heard))  # type: ignore[no-untyped-call]
 
 
@@ -70,7 +70,6 @@ def forget() -> None:
 
 
 def _modules() -> Iterator[Any]:
-    """Those that hold kernels."""
     for path in _sources():
         if b"njit" in path.read_bytes() and path != Path(__file__):
             yield import_module(".".join(path.relative_to(_ROOT).with_suffix("").parts))
@@ -81,7 +80,6 @@ def _sources() -> list[Path]:
 
 
 def _digest() -> str:
-    """Of all that may go into a kernel."""
     digest = sha256(version("numba").encode())
     for path in _sources():
         relative, text = path.relative_to(_ROOT), path.read_bytes()
@@ -91,7 +89,6 @@ def _digest() -> str:
 
 
 def _stamp() -> Path:
-    """Beside the compiled kernels of models."""
     from models import so3  # noqa: PLC0415  (not needed to listen)
 
     return _cache_of(so3.multiply) / _STAMP

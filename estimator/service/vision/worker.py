@@ -1,7 +1,7 @@
-"""Vision in a process of its own: a crash or hang does not affect the estimator.
+"""Vision in its own process: a crash or hang does not affect the estimator.
 
-The thread here pairs images and requests; of waiting pairs the newest goes. A process that dies or does not answer in time is
-started anew, each time a little later; while it compiles a kernel it reports that, and is given the time.
+This thread pairs images; of waiting pairs the newest goes. A dead or late process is restarted, each time a little later;
+compiling kernels extends its time.
 """
 
 import os
@@ -81,9 +81,9 @@ def serve(pipe: Connection, rig_file: Path, map_file: Path | None, origin: Vec3 
 
 
 def answer_until_closed(pipe: Connection, load: Callable[[], tuple[int, Respond]], warm: Callable[[], None]) -> None:
-    """load() gives the cameras' time offset [ns] and what answers, or raises ConfigError; warm() compiles what answers need.
+    """load(): the cameras' time offset [ns] and the processor, or ConfigError; warm(): compiles.
 
-    Says first that it is Ready, or Unable. Before that and before each answer there may be any number of Compiling.
+    Sends Ready or Unable first; Compiling may come before any answer.
     """
     _give_way()
     from estimator.service.base.compilation import listen  # noqa: PLC0415  (numba is slow to import)
@@ -103,13 +103,13 @@ def answer_until_closed(pipe: Connection, load: Callable[[], tuple[int, Respond]
 
 
 def _give_way() -> None:
-    """Go behind the daemon's nice value, and never real-time: the kernel's real-time throttle would stop the daemon too."""
+    """Behind the daemon's nice value, never real-time, whose throttle would stop the daemon too."""
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     os.nice(_GIVES_WAY)
 
 
 class VisionWorker:
-    """put() takes images from any thread; tell(message) gives what is asked and answered to whoever reads inputs."""
+    """put() takes images from any thread; tell(message) reports requests and answers."""
 
     _measurement = LANDMARK_FIX_TOPIC  # what an answer is to give
 
@@ -125,7 +125,7 @@ class VisionWorker:
         screen: Screen | None = None,
         overlay_hz: float = 0.0,
     ) -> None:
-        """files: cameras, map, origin, image; sides: topic -> "left" or "right"; screen: where it is drawn, if watched."""
+        """files: cameras, map, origin, image; sides: topic -> "left" or "right"; screen: overlay target."""
         self._screen, self._overlay_pace = screen if overlay_hz > 0.0 else None, Pace(overlay_hz)
         self._files, self._config, self._sides = files, config, sides
         self._clock, self._stamps, self._track, self._tell = clock, stamps, track, tell
@@ -146,7 +146,7 @@ class VisionWorker:
         self._thread.start()
 
     def put(self, arrival: Arrival) -> None:
-        """An image; the oldest that waits is dropped when there are too many."""
+        """Add an image; of too many the oldest is dropped."""
         topic, schema, data, arrived_ns, _ = arrival
         stamp_ns = stamp_of(data)
         t_ns = None if stamp_ns is None else self._stamps.validity_ns(topic, stamp_ns, arrived_ns)
@@ -185,7 +185,6 @@ class VisionWorker:
         }
 
     def _state_now(self) -> str:
-        """It sees only as long as images and answers come."""
         now_ns, asked_ns = self._clock.now_ns(), self._asked_ns
         if self._state != "seeing" or now_ns - (asked_ns or self._answered_ns) < _QUIET_NS:
             return self._state
@@ -206,7 +205,6 @@ class VisionWorker:
                 self._restart(f"{type(error).__name__}: {error}")
 
     def _turn(self, pairing: Pairing) -> None:
-        """Wait for images; ask about the newest pair. A process that has died meanwhile is not waited for until one comes."""
         self._wake.wait(_IDLE_S)
         self._wake.clear()
         if self._process is not None and not self._process.is_alive():
@@ -222,7 +220,6 @@ class VisionWorker:
             self._ask(pairs[-1])
 
     def _ask(self, pair: Pair) -> None:
-        """One request and its answer."""
         asked_ns = self._clock.now_ns()
         question = self._question(pair, asked_ns)
         if question is None:
@@ -247,7 +244,6 @@ class VisionWorker:
             self._draw(self._screen)
 
     def _question(self, pair: Pair, asked_ns: int) -> tuple[Encoded, list[Pair]] | None:
-        """The request for a pair, and the pairs that go with it; None where there is nothing to be asked."""
         request = self._track.request(pair, asked_ns, self._run)
         if request is None:
             self._state = "waiting for an estimate"
@@ -256,7 +252,6 @@ class VisionWorker:
         return message, [pair]
 
     def _draw(self, screen: Screen) -> None:
-        """The image just answered for, with the map drawn in; the answer is out already."""
         drawn = self._answers_to(Drawing(self._track.mode))
         if drawn is None:
             self._restart("does not draw")
@@ -267,22 +262,19 @@ class VisionWorker:
 
     @staticmethod
     def _target() -> Callable[..., None]:
-        """The process."""
         return serve
 
     def _patience_s(self) -> float:
-        """timeout_s; twice as long after each restart: what takes long once comes to its end."""
         return self._config.timeout_s * self._backoff_s / _FIRST_BACKOFF_S
 
     def _answers_to(self, question: Asked) -> list[Encoded] | None:
-        """The process's messages; None where it gives none in time. Raises MalformedError."""
         answer = self._exchange(question, self._patience_s())
         if answer is None or isinstance(answer, Answer):
             return None if answer is None else answer.messages
         raise MalformedError(f"a malformed answer: {type(answer).__name__}")
 
     def _exchange(self, question: Asked | None, patience_s: float) -> Said | None:
-        """What the process says; None: dead, or killed for its time. A compiled kernel restarts the time, up to a limit."""
+        """The answer; None: dead, or killed for its time. A compiled kernel restarts the time, up to a limit."""
         assert self._process is not None
         assert self._pipe is not None
         answered, end_s = self._killed_in(patience_s), time.monotonic() + _ALL_COMPILED_S
@@ -301,7 +293,7 @@ class VisionWorker:
             answered.set()
 
     def _killed_in(self, seconds: float) -> threading.Event:
-        """Kills the process after that time unless the event is set; time in which this process was stopped does not count."""
+        """Kill the process after that time unless the event is set; time while stopped does not count."""
         assert self._process is not None
         answered, process = threading.Event(), self._process
 
@@ -318,14 +310,12 @@ class VisionWorker:
         return answered
 
     def _note(self, compiling: Compiling) -> None:
-        """A kernel that is compiled when images have come is missing in the warm-up: it is counted, and seen in the status."""
         self._compiling = compiling.kernel
         if self._warm:
             self._compiled += not compiling.kernel
             self._compiled_s += compiling.seconds
 
     def _start(self) -> bool:
-        """Start the process and wait until it can see."""
         self._pipe, theirs = SPAWNED.Pipe()
         process = SPAWNED.Process(target=self._target(), args=(theirs, *self._files), name="landfix-vision")
         process.start()
@@ -342,7 +332,6 @@ class VisionWorker:
         return True
 
     def _restart(self, why: str) -> None:
-        """The process goes; the next one starts after a pause that doubles each time."""
         self._stop_process()
         if self._stopping.is_set():
             return

@@ -1,4 +1,4 @@
-"""The covariance that a message gives: what stands for an unknown one, and why it is none."""
+"""Covariances of messages: defaults and refusals."""
 
 import math
 from collections.abc import Sequence
@@ -11,10 +11,9 @@ from models.messages import Array, Reason
 
 
 def with_default(cov: Array, sigmas: Sequence[float] | Array) -> tuple[Array, bool]:
-    """The covariance (k, k) with sigma_i^2 where nothing is known of component i, and whether there was such a component.
+    """cov (k, k) with sigma_i^2 for unknown components, and whether there were any.
 
-    Nothing is known where the whole row and column are 0: half of the drivers say "unknown" so (ROS COVARIANCE_TYPE_UNKNOWN,
-    ArduPilot's GPA, PX4's eph, MAVLink's h_acc of 0), and nobody measures without error.
+    Unknown: row and column all 0 (ROS COVARIANCE_TYPE_UNKNOWN; drivers, ArduPilot, PX4 and MAVLink send 0 so).
     """
     if cov.shape != (len(sigmas), len(sigmas)) or 0.0 not in cov.diagonal().tolist():  # nearly every call
         return cov, False
@@ -32,10 +31,7 @@ _ASYMMETRY, _SMALLEST_PIVOT = 1e-6, 1e-12  # of the correlation matrix
 
 
 def covariance_refusal(cov: Array, size: int | None = None) -> Refusal | None:
-    """Why `cov` (k, k) is no covariance: not finite, asymmetric or not positive definite; None where it is one.
-
-    size: the k that is wanted, where it is not known yet that the array has it.
-    """
+    """Why `cov` (k, k) is no covariance (not finite, asymmetric, not positive definite), or None; size: wanted k."""
     if size is not None and cov.shape != (size, size):
         return Refusal(Reason.MALFORMED, f"covariance: {size} x {size} is expected")
     return _FLAWS.get(_flaw(np.ascontiguousarray(cov)))
@@ -43,7 +39,7 @@ def covariance_refusal(cov: Array, size: int | None = None) -> Refusal | None:
 
 @njit(cache=True)
 def _flaw(cov: Array) -> int:
-    """The first flaw of a covariance, a key of _FLAWS, or 0: Cholesky of the correlation matrix."""
+    """First flaw of a covariance, a key of _FLAWS, or 0: Cholesky of the correlation matrix."""
     n = cov.shape[0]
     for i in range(n):
         for j in range(n):

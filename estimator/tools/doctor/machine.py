@@ -1,4 +1,4 @@
-"""Is everything as it should be? Checks of the machine, of a configuration and of a log, each with what to do about it."""
+"""Checks of the machine, a configuration and a log, each with advice."""
 
 import ctypes
 import os
@@ -44,7 +44,7 @@ class State(StrEnum):
 
 
 class Check(msgspec.Struct, frozen=True):
-    """One finding. advice: what to do, empty when there is nothing to do."""
+    """One finding; advice: remedy or empty."""
 
     name: str
     state: State
@@ -53,7 +53,7 @@ class Check(msgspec.Struct, frozen=True):
 
 
 def judge(name: str, found: str, *, fail: bool = False, warn: bool = False, advice: str = "") -> Check:
-    """A Check whose advice is kept only when it is needed."""
+    """A Check, with advice if needed."""
     state = State.FAIL if fail else State.WARN if warn else State.OK
     return Check(name, state, found, "" if state is State.OK else advice)
 
@@ -81,14 +81,12 @@ def machine() -> list[Check]:
 
 
 def _names() -> Check:
-    """Our top-level names belong to us alone."""
     found = clashes()
     advice = "rename or uninstall it, or take it off PYTHONPATH; best is an environment of its own (uv tool, venv)"
     return judge("package names", "; ".join(found) or "no other package has ours", fail=bool(found), advice=advice)
 
 
 def _numba_cache() -> Check:
-    """Compiled kernels must be kept, or every start costs the compilation again."""
     so3.normalise(np.array([1.0, 0.0, 0.0, 0.0]))
     folder = Path(str(so3.normalise.stats.cache_path))
     try:
@@ -101,7 +99,6 @@ def _numba_cache() -> Check:
 
 
 def _clock() -> Check:
-    """The wall clock against the one that never steps."""
     wall, steady = time.time_ns(), time.monotonic_ns()
     time.sleep(_CLOCK_WATCH_S)
     elapsed = time.monotonic_ns() - steady
@@ -113,7 +110,7 @@ def _clock() -> Check:
 
 
 def _synchronised() -> Check:
-    """What the kernel thinks of its clock: adjtimex(2) without a change."""
+    """The kernel's clock state: adjtimex(2), read only."""
     unset = ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES)) == _TIME_ERROR
     advice = "synchronise it with chrony or PTP, or set it by hand: MAVLink signatures, log names and foreign stamps need it"
     return judge("system clock", "not synchronised" if unset else "synchronised by NTP, PTP or GNSS", warn=unset, advice=advice)
