@@ -106,13 +106,7 @@ def recognise_learned(
     open_px = 2.0 * math.sqrt(float(np.linalg.eigvalsh(J @ prior.covariance @ J.T)[-1])) / grid.camera_m
     wide = min(1.0 + 2.0 * open_px / min(rig.left.width, rig.left.height), _WIDEST)
     unit_px = max(rig.left.width, rig.left.height) / _ROWS
-    every = _to_camera(rig, np.stack(np.meshgrid(np.arange(float(_COLUMNS)), np.arange(float(_ROWS))), axis=-1).reshape(-1, 2))
-    view = sample(pyramid(image), every.reshape(_ROWS, _COLUMNS, 2), unit_px)
-    ground, seen = _on_ground(_widened(rig, every, wide), (p_nc, R_nc), map_image)
-    seen &= map_image.contains(ground[:, :2])
-    at = map_image.to_pixels(ground[:, :2]).reshape(_ROWS, _COLUMNS, 2)
-    shown = sample(map_image.pyramid, at, wide * unit_px * grid.camera_m / map_image.pixel_m)
-    shown = np.where(seen.reshape(_ROWS, _COLUMNS), shown, np.float32(0.0))
+    view, shown = _views(rig, image, (p_nc, R_nc), map_image, (wide, unit_px, grid.camera_m))
     mine, theirs = models.keypoints(view), models.keypoints(shown)
     if min(len(mine[0]), len(theirs[0])) < _LEAST:
         return NotRecognised("no_features", f"{len(mine[0])} in the image, {len(theirs[0])} in the map")
@@ -130,6 +124,20 @@ def recognise_learned(
     moved_m = _MOVED * map_image.heights.unevenness_m * (1.0 - found.inliers / found.matched) ** 4
     less_sure = replace(map_image, sigma_m=math.hypot(map_image.sigma_m, moved_m))
     return pose_of_matches(rig, matches, prior, less_sure, _JUDGED)
+
+
+def _views(
+    rig: StereoRig, image: Image, pose: tuple[Array, Array], map_image: GroundImage, sizes: tuple[float, float, float]
+) -> tuple[Float, Float]:
+    """Both inputs of the extractor: the camera's image, and the map's from a pose; sizes: wide, unit_px, camera_m."""
+    wide, unit_px, camera_m = sizes
+    every = _to_camera(rig, np.stack(np.meshgrid(np.arange(float(_COLUMNS)), np.arange(float(_ROWS))), axis=-1).reshape(-1, 2))
+    view = sample(pyramid(image), every.reshape(_ROWS, _COLUMNS, 2), unit_px)
+    ground, seen = _on_ground(_widened(rig, every, wide), pose, map_image)
+    seen &= map_image.contains(ground[:, :2])
+    at = map_image.to_pixels(ground[:, :2]).reshape(_ROWS, _COLUMNS, 2)
+    shown = sample(map_image.pyramid, at, wide * unit_px * camera_m / map_image.pixel_m)
+    return view, np.where(seen.reshape(_ROWS, _COLUMNS), shown, np.float32(0.0))
 
 
 def _to_camera(rig: StereoRig, px: Array) -> Array:
