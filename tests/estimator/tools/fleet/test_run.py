@@ -8,11 +8,12 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from distributed import Client
+from distributed import Client, LocalCluster
 
 from benchmarks.fleet.bucket import bucket
 from estimator.config import load
 from estimator.replay.replay import replay
+from estimator.tools.fleet import engine
 from estimator.tools.fleet.engine import cluster
 from estimator.tools.fleet.errors import FleetError
 from estimator.tools.fleet.results import SCHEMA, read
@@ -100,6 +101,17 @@ def test_a_worker_with_another_program_is_refused(fleet: Path, client: Client, t
     settings = msgspec.structs.replace(settings_of("run", None, "/truth"), code="another")
     with pytest.raises(FleetError, match="a worker runs another landfix"):
         run(flights([f"{fleet}/0.mcap"]), settings, str(tmp_path), client)
+
+
+def test_a_run_that_no_worker_is_left_for_ends_with_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine, "_ASK_S", 0.1)
+    monkeypatch.setattr(engine, "_WITHOUT_WORKER_S", 0.5)
+    with (
+        LocalCluster(n_workers=0, dashboard_address=None) as local,
+        Client(local) as client,
+        pytest.raises(FleetError, match="no worker is left"),
+    ):
+        list(engine.results(client, str, [1, 2]))
 
 
 def test_the_table_has_the_columns_of_a_row(before: Path) -> None:
