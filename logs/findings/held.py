@@ -68,8 +68,8 @@ def _measured(stream: Stream) -> slice:
 
 def _moves(stream: Stream, imu: Stream | None, first: int, last: int) -> bool:
     """A receiver: at > 1 m/s just before, or 5 m away behind it; a magnetometer: the IMU turns; others: its samples change."""
-    if stream.kind == IMU:
-        return True
+    if stream.kind in (IMU, "range"):  # the height above the ground may stay as it is
+        return stream.kind == IMU
     if stream.kind == VELOCITY:
         return float(np.linalg.norm(stream.values[first])) > _MOVING_M_S
     if stream.kind == FIX:

@@ -124,7 +124,8 @@ def frozen_axis(imu: Stream) -> Cause | None:
             alive = 1.0 - np.mean(same[first:last, sensor], axis=0)
             stuck = imu.kind == IMU and axis < 3 and imu.values[first, axis] != 0.0 and long_s > _STUCK_S
             lived = noisy or stuck or (first > 0 and 1.0 - same[:first, axis].mean() > _LIVELY)
-            if lived and long_s > _FROZEN_S and last - first >= _LEAST_FROZEN and alive.max() > _LIVELY:
+            still = imu.kind != IMU and not _turns(imu.values[first:last])
+            if lived and not still and long_s > _FROZEN_S and last - first >= _LEAST_FROZEN and alive.max() > _LIVELY:
                 name, value = (
                     _AXES[axis] if imu.kind == IMU else f"its {'xyz'[axis]} axis",
                     imu.values[first, axis] + 0.0,
@@ -132,6 +133,11 @@ def frozen_axis(imu: Stream) -> Cause | None:
                 what = f"{name} reads {value:g} without any change for {long_s:.1f} s, while other axes move"
                 return Cause(what, float(imu.arrived_s[first]), _DEAD)
     return None
+
+
+def _turns(field: Array) -> bool:
+    """Whether a component (n, 3) of a field changes by a tenth of its magnitude."""
+    return float(np.ptp(field, axis=0).max()) > 0.1 * float(np.median(np.linalg.norm(field, axis=1)))
 
 
 def clipped(imu: Stream) -> Cause | None:
