@@ -68,7 +68,7 @@ class Watch:
     def findings(self) -> list[Finding]:
         """Causes so far, likeliest first; the earliest by topic and kind."""
         self._judge()
-        return [finding for _, finding in sorted(self._found.items(), key=lambda item: item[0][1])]
+        return [finding for _, finding in sorted(self._found.items(), key=lambda item: (not item[1].unfit, item[0][1]))]
 
     def _judge(self) -> None:
         streams = {topic: column.stream(self._start_ns) for topic, column in self._columns.items() if column.t_ns}
