@@ -12,3 +12,15 @@ class Cell(msgspec.Struct, frozen=True):
     name: str
     words: tuple[str, ...]
     codes: frozenset[int] = REFUSED
+
+
+class Row(msgspec.Struct, frozen=True):
+    """What came of a cell; said: the last line of stderr, or else of stdout."""
+
+    area: str
+    name: str
+    verdict: str
+    reason: str
+    code: int
+    cpu_s: float
+    said: str

@@ -32,16 +32,25 @@ class Ended(msgspec.Struct, frozen=True):
 
 def run(words: Sequence[str], folder: Path) -> Ended:
     """`landfix WORDS` in folder. The child is forked: what this process has imported costs it nothing."""
-    out, err = folder / ".stdout", folder / ".stderr"
+    return ended(forked(words, folder, limits=True), folder)
+
+
+def forked(words: Sequence[str], folder: Path, *, limits: bool = False) -> int:
+    """The process of `landfix WORDS`, that has begun; limits: on CPU time and memory."""
     sys.stdout.flush()
     sys.stderr.flush()
     if (child := os.fork()) == 0:
-        _in_child(list(words), folder, out, err)
+        _in_child(list(words), folder, limits=limits)
+    return child
+
+
+def ended(child: int, folder: Path) -> Ended:
+    """How it ended, once it has."""
+    out, err = folder / ".stdout", folder / ".stderr"
     status, usage = _waited(child)
-    ended, killed = os.WIFEXITED(status), os.WIFSIGNALED(status)
     return Ended(
-        os.WEXITSTATUS(status) if ended else -1,
-        os.WTERMSIG(status) if killed else 0,
+        os.WEXITSTATUS(status) if os.WIFEXITED(status) else -1,
+        os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0,
         round(usage.ru_utime + usage.ru_stime, 2),
         round(usage.ru_maxrss / 1024.0),
         out.read_text(errors="backslashreplace")[-3000:],
@@ -61,14 +70,12 @@ def _waited(child: int) -> tuple[int, resource.struct_rusage]:
         time.sleep(0.005)
 
 
-def _in_child(words: list[str], folder: Path, out: Path, err: Path) -> None:
+def _in_child(words: list[str], folder: Path, *, limits: bool) -> None:
     os.setsid()
-    pages = int(Path("/proc/self/statm").read_text().split()[0])
-    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + MEMORY_BYTES,) * 2)
-    used = int(time.process_time())
-    resource.setrlimit(resource.RLIMIT_CPU, (used + 3 * CPU_S, resource.RLIM_INFINITY))
+    if limits:
+        _limit()
     os.chdir(folder)
-    for number, path in ((0, Path(os.devnull)), (1, out), (2, err)):
+    for number, path in ((0, Path(os.devnull)), (1, folder / ".stdout"), (2, folder / ".stderr")):
         os.dup2(os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC), number)
     os.environ["COLUMNS"] = "300"
     sys.argv = ["landfix", *words]
@@ -85,6 +92,13 @@ def _in_child(words: list[str], folder: Path, out: Path, err: Path) -> None:
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(code if isinstance(code, int) else 0 if code is None else 1)
+
+
+def _limit() -> None:
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + MEMORY_BYTES,) * 2)
+    used = int(time.process_time())
+    resource.setrlimit(resource.RLIMIT_CPU, (used + 3 * CPU_S, resource.RLIM_INFINITY))
 
 
 def flaw(ended: Ended, codes: frozenset[int]) -> tuple[str, str]:
