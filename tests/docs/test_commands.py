@@ -38,6 +38,7 @@ from models.frames import GRAVITY
 from models.messages import GnssFix, GnssVelocity, ImuSample, vec3
 from models.sim.scenario import simulate
 from models.sim.scenario_file import loads
+from tests.docs import started
 from tests.estimator.commands.photos import of_scene
 from vision.synthetic.scenes import WorldSpec, make_world
 
@@ -49,6 +50,7 @@ IMAGE_MIDDLE = 33.638396, -84.478936  # of the satellite image
 DJI_0033 = 46.842547, -91.993694  # by SIFT in the orthophoto
 BOARD = Board(9, 6, 0.025)
 LEFT = CameraModel(320, 240, 270.0, 271.0, 158.0, 121.0, (-0.2, 0.05, 0.0, 0.0))
+SETTINGS = {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "COLUMNS": "150"}
 RIG = StereoRig(LEFT, LEFT, np.eye(3), np.array([-0.06, 0.0, 0.0]), np.eye(3), np.zeros(3))
 
 # What ```console may hold, by how it begins. Our own of these: tests/estimator/service/, tests/docs/test_sitl_fixes.py.
@@ -237,40 +239,52 @@ GIVES: dict[str, Callable[[Path, str], None]] = {
 }
 
 
-def typed(page: Path, tmp_path: Path) -> str:
+@pytest.fixture(scope="module")
+def landfix(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A folder with the program, whose packages are imported once."""
+    programs = tmp_path_factory.mktemp("bin")
+    server, program = programs / "s", programs / "landfix"
+    program.write_text(started.PROGRAM.format(python=sys.executable, socket=str(server)))
+    program.chmod(0o755)
+    words = [sys.executable, "-c", "from tests.docs import started; started.main()", str(server)]
+    with subprocess.Popen(words, cwd=ROOT, env=os.environ | SETTINGS, stdout=subprocess.PIPE) as process:
+        try:
+            assert process.stdout
+            assert process.stdout.readline() == b"ready\n"
+            yield programs
+        finally:
+            process.terminate()
+
+
+def typed(page: Path, tmp_path: Path, programs: Path) -> str:
     """What the commands of a page print, one after the other."""
     (tmp_path / "examples").symlink_to(ROOT / "examples")
-    programs = tmp_path / "bin"
-    programs.mkdir()
-    program = programs / "landfix"
-    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m estimator "$@"\n')
-    program.chmod(0o755)
     script = "\n".join(["set -eu", *blocks(page, "sh")])
-    paths = {"PATH": f"{programs}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "COLUMNS": "150"}
+    environment = os.environ | SETTINGS | {"PATH": f"{programs}:{os.environ['PATH']}"}
     bash = shutil.which("bash")
     assert bash
-    done = subprocess.run([bash, "-c", script], cwd=tmp_path, env=os.environ | paths, capture_output=True, text=True, check=False)
+    done = subprocess.run([bash, "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
     return done.stdout
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "sh")], ids=lambda p: p.stem)
-def test_every_command_works_as_it_is_written(page: Path, tmp_path: Path) -> None:
+def test_every_command_works_as_it_is_written(page: Path, tmp_path: Path, landfix: Path) -> None:
     if page.stem in BROUGHT:
         BROUGHT[page.stem](tmp_path)
-    said = typed(page, tmp_path)
+    said = typed(page, tmp_path, landfix)
     if page.stem in GIVES:
         GIVES[page.stem](tmp_path, said)
 
 
-def test_the_three_commands_locate_the_real_photo_that_the_page_shows(tmp_path: Path) -> None:
+def test_the_three_commands_locate_the_real_photo_that_the_page_shows(tmp_path: Path, landfix: Path) -> None:
     data = data_folder()
     if not (data / brighton.FOLDER).is_dir():
         pytest.skip("the public images are not here (LANDFIX_DATA)")
     tagged(data, "DJI_0033.jpg", tmp_path).rename(tmp_path / "DJI_0001.JPG")
     (tmp_path / "footprints.geojson").symlink_to(brighton.MAP_FILE)
     (tmp_path / "truth.json").write_text(json.dumps(DJI_0033))
-    located(tmp_path, typed(DOCS / "tutorial_photo.md", tmp_path))
+    located(tmp_path, typed(DOCS / "tutorial_photo.md", tmp_path, landfix))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.stem)
