@@ -54,10 +54,12 @@ def looks() -> Iterator[tuple[Processor, tuple[Pixels | None, Pixels | None], tu
             grey = [np.asarray(cv2.cvtColor(p, cv2.COLOR_BGR2GRAY), np.uint8) for p in (left, right)]
             kinds = (left, right), (left, None), (None, grey[1]), (grey[0], grey[1])
             for (i, sigmas), (j, images) in product(enumerate((NARROW, WIDE, 8.0 * WIDE, 30.0 * WIDE)), enumerate(kinds)):
-                if (seed + k + i + j) % 2 == 0:  # a half fraction: each three of rig, height, prior and images occur together
+                if (seed + k + i + j) % len(kinds) == 0:  # a quarter: each two of rig, height, prior and images occur together
                     yield processor, images, pose, sigmas
-            yield processor, (counts(left), counts(right)), pose, WIDE
-            yield processor, (np.zeros_like(left), right), pose, NARROW
+            if (seed + k) % 2:
+                yield processor, (counts(left), counts(right)), pose, WIDE
+            else:
+                yield processor, (np.zeros_like(left), right), pose, NARROW
     for flight in (boulders(1, NARROW), house_and_boulders(2, NARROW)):
         processor = Processor(flight.rig, LandmarkMap.from_landmarks(ORIGIN, list(flight.landmarks)))
         for images in (flight.images, (flight.images[0], None)):
