@@ -47,6 +47,7 @@ from models.state import E, X
 _ALWAYS_NS = 2**62
 _NO_PLACE = "give [map] origin to use GNSS or a magnetometer together with fixes on a local map"
 _UNKNOWN = SourceState()
+_SPOOFED = "its receiver reports spoofing"
 _NO_RATE = np.zeros(3)
 _FOR_ALIGNED = "odometry is used once aligned"
 _LOST_NS = 60_000_000_000  # an IMU gap after which the alignment begins again
@@ -240,6 +241,8 @@ class Tracker:
         if isinstance(aid, ImuAid):
             return self._change_imu(aid)
         if aid.check is not None and (refusal := aid.check(core.origin)) is not None:
+            if refusal.reason is Reason.STOPPED:
+                self._spoofed(aid)
             return Decision(refusal.reason, detail=refusal.detail)
         aid, z = self.imu.felt(aid, samples) if aid.kind in FELT else (aid, aid.measurement(core.origin))
         if z is None:
@@ -247,6 +250,11 @@ class Tracker:
             return Decision(Reason.ALIGNING, detail=NO_POSITION) if waits else Decision(Reason.NO_ORIGIN, detail=_NO_PLACE)
         if isinstance(z, Refusal):
             return Decision(z.reason, detail=z.detail)
+        if (receiver := self.sources.get(aid.receiver or "")) is not None:
+            if aid.t_ns - receiver.spoofed_ns < aid.rules.hold_s * 1e9:
+                return Decision(Reason.STOPPED, detail=_SPOOFED)
+            if receiver.false_share > aid.rules.false_share and aid.t_ns <= receiver.silent_ns:
+                aid = aid.doubted(receiver.false_share)
         if isinstance(z, Conditional) and (bank := self.alignment.bank) is not None and (why := z.objection(bank.lead.x)):
             return Decision(Reason.IMPLAUSIBLE, detail=why)
         if aid.alignment_only:
@@ -332,6 +340,16 @@ class Tracker:
             self.alignment.without_sensor.stretch = None
         core.stretch = None
         return Decision(Reason.FUSED, detail=aid.detail)
+
+    def _spoofed(self, aid: Aid) -> None:
+        """The receiver says that it is misled: the hypothesis without it leads, where there is one."""
+        before = self.sources.get(aid.topic, _UNKNOWN)
+        self.sources[aid.topic] = before.spoofed(aid.rules, aid.t_ns)
+        if before.phase is Phase.ACTIVE and self.core.is_aligned and self.core.hypotheses is not None:
+            switches = self.core.hypotheses.switches
+            self.core.hypotheses.leave(aid.topic)
+            if self.core.hypotheses.switches != switches:
+                self.core.stretch = None
 
     def _judge(self, aid: Aid, z: Measurement, gyro_b: Array, state: SourceState, *, alone: bool) -> tuple[Decision, SourceState]:
         core = self.core

@@ -155,6 +155,7 @@ def assembled(
         if keeper:
             parts["state"] = keeper.report
         outboxes: list[Outbox] = [bus] if bus else []
+        px4: Px4Link | None = None
         if bus:
             parts["zenoh"] = bus.report
         if bus and config.px4.enabled:
@@ -194,6 +195,8 @@ def assembled(
             _serve(bus, status, attachments)
             bus.watch_domains(config.inputs.imu, console.say)
             bus.open_inputs(mailbox)
+        if px4:
+            px4.open_inputs(mailbox, config.inputs)
         if mavlink:
             mavlink.open_inputs(mailbox)
         yield daemon

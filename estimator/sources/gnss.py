@@ -67,8 +67,6 @@ def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
     place = (fix.lat_deg, fix.lon_deg, fix.alt_m)
     if fix.status < 0:
         return Refusal(Reason.NO_FIX)
-    if fix.state is ReceiverState.SPOOFED:
-        return Refusal(Reason.STOPPED, "the receiver reports spoofing")
     if not all(map(math.isfinite, place)):
         return Refusal(Reason.NOT_FINITE, "position")
     if abs(fix.lat_deg) > 90.0 or abs(fix.lon_deg) > 180.0 or abs(fix.alt_m) > _HIGHEST_M:
@@ -80,7 +78,7 @@ def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
     if refusal := covariance_refusal(noise, 3):
         return refusal
     lever = np.array(config.antenna_b_m)
-    is_jammed = fix.state is ReceiverState.JAMMED
+    is_jammed, is_spoofed = fix.state is ReceiverState.JAMMED, fix.state is ReceiverState.SPOOFED
     rules = _JAMMED if is_jammed else RULES["gnss"]
 
     @cache  # a measurement that comes late has others done again
@@ -93,17 +91,22 @@ def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
         arrived_ns=fix.arrived_ns,
         topic=fix.topic,
         kind="gnss_position",
-        order=order(t_ns, "gnss_position", fix.topic, *place, noise.tobytes()),
+        order=order(t_ns, "gnss_position", fix.topic, *place, noise.tobytes(), float(fix.state)),
         rules=rules,
         absolute=True,
         log_false=log_false(rules, [FALSE_POSITION_M] * 3),
         measurement=measurement,
         log_misled=math.log(1.0 - config.trust) if config.trust < 1.0 else None,
         slow_errors=_slow("gnss", config.slow_sigma_m, config.slow_s),
-        geodetic=place,
+        geodetic=None if is_spoofed else place,
+        check=_spoofed if is_spoofed else None,
         detail="the receiver reports jamming" if is_jammed else "",
         assumed=_NO_ACCURACY.format(f"horizontal_sigma_m {sigmas[0]:g}, vertical_sigma_m {sigmas[2]:g}") if is_assumed else "",
     )
+
+
+def _spoofed(_: Origin | None) -> Refusal:
+    return Refusal(Reason.STOPPED, "the receiver reports spoofing")
 
 
 def velocity_aid(velocity: GnssVelocity, config: GnssConfig) -> Aid | Refusal:

@@ -25,6 +25,7 @@ from models.messages import (
     PoseFix,
     Quat,
     Reading,
+    ReceiverState,
     Vec3,
 )
 
@@ -157,13 +158,22 @@ def imu(t_ns: Times, arrived_ns: Times, gyro_b: Array, accel_b: Array, topic: st
     return Stream(topic, t_ns, arrived_ns, (gyro_b, accel_b), make)
 
 
-def gnss(t_ns: Times, arrived_ns: Times, lla: Array, variance_n: Array, status: Array, topic: str = "/gnss") -> Stream:
-    """GnssFixes; lla (n, 3) deg, deg, m; variance_n (n, 3) m^2, nan: none; status (n,) NavSatStatus."""
+def gnss(
+    t_ns: Times,
+    arrived_ns: Times,
+    lla: Array,
+    variance_n: Array,
+    status: Array,
+    topic: str = "/gnss",
+    flags: Array | None = None,
+) -> Stream:
+    """GnssFixes; lla (n, 3) deg, deg, m; variance_n (n, 3) m^2, nan: none; status (n,) NavSatStatus; flags (n,) ReceiverState."""
 
-    def make(t: int, arrived: int, place: list[float], variance: list[float], state: float) -> GnssFix:
-        return GnssFix(t, arrived, place[0], place[1], place[2], _diagonal(variance), int(state), topic)
+    def make(t: int, arrived: int, place: list[float], variance: list[float], state: float, flag: float) -> GnssFix:
+        lat, lon, alt = place
+        return GnssFix(t, arrived, lat, lon, alt, _diagonal(variance), int(state), topic, ReceiverState(int(flag)))
 
-    return Stream(topic, t_ns, arrived_ns, (lla, variance_n, status), make)
+    return Stream(topic, t_ns, arrived_ns, (lla, variance_n, status, np.zeros(len(t_ns)) if flags is None else flags), make)
 
 
 def gnss_velocity(t_ns: Times, arrived_ns: Times, v_n: Array, variance_n: Array, topic: str = "/gnss/velocity") -> Stream:

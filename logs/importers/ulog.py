@@ -258,7 +258,11 @@ def _gnss(source: Path, topic: Topic, clock_us: int, notes: list[str]) -> list[S
     v_n = _vector(topic, "vel_n_m_s", "vel_e_m_s", "vel_d_m_s")[moving]
     speed_sigma = topic["s_variance_m_s"][moving].astype(np.float64)  # m/s, despite its name
     speed_variance = np.repeat(_squared(speed_sigma)[:, np.newaxis], 3, axis=1)
-    streams = [recording.gnss(t_ns, arrived_ns, lla, variance, status)]
+    unknown = np.zeros(len(t_ns))
+    flags = sensors.receiver_state(topic.get("jamming_state", unknown), topic.get("spoofing_state", unknown))
+    if flags.any():
+        notes.append(f"the receiver reports jamming or spoofing in {np.count_nonzero(flags)} of {len(flags)} fixes")
+    streams = [recording.gnss(t_ns, arrived_ns, lla, variance, status, flags=flags)]
     if len(moving):
         streams.append(recording.gnss_velocity(t_ns[moving], arrived_ns[moving], v_n, speed_variance))
     return [*streams, *_heading(topic, clock_us)]

@@ -8,8 +8,9 @@ from typing import Final
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from logs.importers.sensors import navsat_status, receiver_state
 from models import so3
-from models.messages import Array, Estimate, Vec3, vec3
+from models.messages import Array, Estimate, GnssFix, GnssVelocity, ReceiverState, Vec3, vec3
 from models.state import E, X
 
 VEHICLE_ODOMETRY: Final = "px4_msgs/msg/VehicleOdometry"
@@ -146,6 +147,7 @@ _ODOMETRY: Final = struct.Struct("<4sQQB3x3f4fB3x3f3f3f3f3fBb")
 _AUX: Final = struct.Struct("<4sQQBB6xddfffB")
 _GLOBAL: Final = struct.Struct("<4sQQddff??2xffBBBxfff??")
 _REFERENCE: Final = struct.Struct("<4x124x??2x8xddf")  # of VehicleLocalPosition, from xy_global to ref_alt
+_GPS: Final = struct.Struct("<4xQQ8x4df4xB3xff14xB5xB7x3f4x?")  # of SensorGps, to vel_ned_valid
 _NED, _VISION = 1, 2
 _BYTE: Final = 256
 
@@ -164,6 +166,36 @@ def local_reference(data: bytes) -> Vec3 | None:
         return None
     xy_global, z_global, lat, lon, alt = _REFERENCE.unpack_from(data)
     return (lat, lon, alt) if xy_global and z_global else None
+
+
+def receiver(data: bytes, geoid_m: float, topic: str) -> tuple[GnssFix, GnssVelocity | None] | None:
+    """Of a SensorGps, whose first fields are the same in 1.15 to 1.18, stamps PX4's; None: too short.
+
+    The height above the sea and geoid_m where none above the ellipsoid is given; sigmas 0: not given.
+    """
+    if len(data) < _GPS.size:
+        return None
+    now_us, sampled_us, lat, lon, sea_m, height_m, v_sigma, fix_type, eph, epv, jamming, spoofing, *v_n, valid = _GPS.unpack_from(
+        data
+    )
+    t_ns, given = 1_000 * (sampled_us or now_us), height_m not in {0.0, sea_m}
+    status, state = navsat_status(np.array(fix_type)), receiver_state(np.array(jamming), np.array(spoofing))
+    covariance = np.diag([eph**2, eph**2, epv**2]) if eph > 0.0 and epv > 0.0 else None
+    v_covariance = np.eye(3) * v_sigma**2 if v_sigma > 0.0 else None
+    return (
+        GnssFix(
+            t_ns,
+            t_ns,
+            lat,
+            lon,
+            height_m if given else sea_m + geoid_m,
+            covariance,
+            int(status),
+            topic,
+            ReceiverState(int(state)),
+        ),
+        GnssVelocity(t_ns, t_ns, vec3(v_n), v_covariance, f"{topic}/velocity") if valid else None,
+    )
 
 
 def vehicle_odometry(

@@ -15,6 +15,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from estimator.service.autopilot.px4_messages import position_sigmas
 from logs.importers.sensors import highres_field, indicated_airspeed, navsat_status, variance_from_dop
+from logs.importers.sensors import receiver_state as reported
 from models import so3
 from models.frames import GRAVITY
 from models.messages import (
@@ -48,7 +49,6 @@ _UNKNOWN: Final = 65535
 _SPEED_SIGMA_M_S: Final = 0.5  # where the receiver reports none
 _NO_VERTICAL_VARIANCE: Final = 100.0**2  # m^2/s^2: there is no vertical speed; 0 with this says nothing
 _FIX_3D: Final = 3
-_MITIGATED, _DETECTED = 2, 3  # GPS_JAMMING_STATE, GPS_SPOOFING_STATE
 _GPS_EPOCH_NS: Final = 315_964_800_000_000_000  # 1980-01-06
 _LEAP_NS: Final = 18_000_000_000  # GPS time is ahead of UTC by this much, since 2017
 _WEEK_MS: Final = 604_800_000
@@ -119,11 +119,8 @@ def attitude(message: Any, t_ns: int, sigma_deg: tuple[float, float], topic: str
 
 
 def receiver_state(message: Any) -> ReceiverState:
-    """GNSS_INTEGRITY: jamming, spoofing 0 unknown, 1 none, 2 mitigated, 3 detected."""
-    if message.spoofing_state == _DETECTED:
-        return ReceiverState.SPOOFED
-    is_disturbed = message.jamming_state == _DETECTED or message.spoofing_state == _MITIGATED
-    return ReceiverState.JAMMED if is_disturbed else ReceiverState.UNKNOWN
+    """Of GNSS_INTEGRITY."""
+    return ReceiverState(int(reported(np.array(message.jamming_state), np.array(message.spoofing_state))))
 
 
 def gnss_fix(message: Any, t_ns: int, geoid_m: float, topic: str, state: ReceiverState = ReceiverState.UNKNOWN) -> GnssFix:
@@ -255,6 +252,13 @@ def _field(message: Any) -> tuple[float, ...] | None:
     if message.id != 0 or message.fields_updated & _FIELD != _FIELD:
         return None
     return vec3(highres_field(np.array([[message.xmag, message.ymag, message.zmag]]))[0])
+
+
+def has_field(message: Any) -> bool | None:
+    """Whether the magnetometer measures anything at all; None: the IMU's message does not say."""
+    if message.get_type() == "HIGHRES_IMU" and (message.id != 0 or message.fields_updated & _FIELD != _FIELD):
+        return None
+    return any((message.xmag, message.ymag, message.zmag))
 
 
 def _coarse_field(message: Any) -> tuple[float, ...] | None:

@@ -89,6 +89,7 @@ class Inputs:
         self._asked: dict[int, int] = {}
         self._began_ns: int | None = None  # when an IMU was first asked for
         self.imu_kind = "none"
+        self._has_compass = True  # until its field is zero
 
     def ask_again(self) -> None:
         """Repeat all requests."""
@@ -116,6 +117,8 @@ class Inputs:
     def measured(self, message: Any, t_ns: int, now_ns: int, autopilot: int | None) -> Iterator[Input]:
         """Measurements of a message valid at t_ns."""
         number, kind = message.get_msgId(), message.get_type()
+        if kind in _IMUS and self._attitude_topic and (field := codec.has_field(message)) is not None:
+            self._has_compass = field
         if kind in _IMUS and self._imu_topic and self._is_best(kind, now_ns, autopilot):
             sample = codec.imu(message, t_ns, self._imu_topic)
             if sample is not None:
@@ -127,10 +130,9 @@ class Inputs:
             yield from self._sensors(message, kind, t_ns, autopilot)
         if number == _ATTITUDE and self._attitude_topic and self._is_true_heading(autopilot):
             yield codec.attitude(message, t_ns, self._attitude_sigma_deg, self._attitude_topic)
-        state = self._state(number, now_ns)
         if number in self._positions:
-            yield codec.gnss_fix(message, t_ns, self._geoid_m, self._positions[number], state)
-        if number in self._velocities and state is not ReceiverState.SPOOFED:
+            yield codec.gnss_fix(message, t_ns, self._geoid_m, self._positions[number], self._state(number, now_ns))
+        if number in self._velocities:
             velocity = codec.gnss_velocity(message, t_ns, self._velocities[number])
             if velocity is not None:
                 yield velocity
@@ -171,7 +173,8 @@ class Inputs:
     def report(self) -> dict[str, Any]:
         """For the status."""
         coarse = " (coarse: steps of 0.01 m/s^2, 0.001 rad/s)" if self.imu_kind in codec.COARSE else ""
-        return {"imu": self.imu_kind + coarse}
+        heading = {} if self._has_compass else {"attitude": "not taken: the autopilot's magnetometer reads zero"}
+        return {"imu": self.imu_kind + coarse} | heading
 
     def _missing(self, now_ns: int, autopilot: int | None) -> dict[int, int]:
         wanted = {mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: round(_MICRO / _SYSTEM_TIME_HZ)}
@@ -202,8 +205,8 @@ class Inputs:
             self._imu_us, self._denied = next((us for us in _SLOWER_US if us > self._imu_us), self._imu_us), False
 
     def _is_true_heading(self, autopilot: int | None) -> bool:
-        """ArduPilot's heading is from magnetic north until EKF3 has an origin, and with it the declination."""
-        return autopilot != codec.ARDUPILOT or _ORIGIN in self._heard
+        """None with a dead compass; ArduPilot's is from magnetic north until EKF3 has an origin, and with it the declination."""
+        return self._has_compass and (autopilot != codec.ARDUPILOT or _ORIGIN in self._heard)
 
     def _is_gone(self, number: int, now_ns: int) -> bool:
         since_ns = max(self._heard.get(number, _NEVER), self._began_ns or _NEVER)

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import zenoh
+from msgspec.structs import replace
 
 from estimator.publish import Pace
 from estimator.service.autopilot import px4_messages as px4
@@ -15,8 +16,9 @@ from estimator.service.autopilot.clock import AutopilotClock
 from estimator.service.autopilot.local_frame import LocalOrigin
 from estimator.service.autopilot.output_policy import OutputPolicy, Px4Config, is_sound, newest
 from estimator.service.base.clock import SECOND_NS, Clock
+from estimator.service.base.ports import Inbox
 from estimator.service.zenoh.keys import rmw_key
-from logs.wire.codec import Encoded
+from logs.wire.codec import Encoded, Topics
 from models import so3
 from models.frames import Origin
 from models.messages import Array, Estimate, Output, Vec3, vec3
@@ -25,6 +27,7 @@ from models.state import X
 _TIMESTAMP: Final = struct.Struct("<4xQ")  # behind the encapsulation every message of PX4 begins with it, us
 _SENT: Final = struct.Struct("<8xQ17x")  # of the attachment, us
 _US: Final = 1_000
+GNSS_TOPIC: Final = "/fmu/out/vehicle_gps_position"  # in [inputs] gnss; with /velocity behind it in gnss_velocity
 _STALE_NS: Final = 60 * SECOND_NS
 _REFERENCE_NS: Final = 3 * SECOND_NS  # without a local position its reference may be another one
 
@@ -46,6 +49,7 @@ class Px4Link:
         self._pace = Pace(odometry_hz)
         self._boot, self._heard_ns = AutopilotClock(), 0
         self._local, self._reference_ns = LocalOrigin(), 0
+        self._feed: tuple[Inbox, bool, bool] | None = None  # whether it takes positions and velocities
         self._has_none = True  # as far as it has said since its boot; silence later on is no such word
         self._map_origin: Vec3 | None = None
         self._quality: int | None = None  # of the last odometry
@@ -62,6 +66,11 @@ class Px4Link:
             domain, "fmu/out/vehicle_local_position", px4.VEHICLE_LOCAL_POSITION, px4.type_hash(px4.VEHICLE_LOCAL_POSITION)
         )
         self._subscriber = session.declare_subscriber(f"{domain}/fmu/out/**", self._hear)
+
+    def open_inputs(self, inbox: Inbox, topics: Topics) -> None:
+        """Feed its GNSS receiver to those of the topics that are PX4's."""
+        receivers = GNSS_TOPIC in topics.gnss, f"{GNSS_TOPIC}/velocity" in topics.gnss_velocity
+        self._feed = (inbox, *receivers) if any(receivers) else None
 
     def send(self, outputs: Sequence[Output], encoded: Sequence[Encoded]) -> None:  # noqa: ARG002  (an Outbox is given both)
         """Send the outputs meant for PX4."""
@@ -161,6 +170,15 @@ class Px4Link:
             self._heard_ns = arrived_ns
             if str(sample.key_expr) == self._local_key:
                 self._hear_reference(payload, arrived_ns)
+            elif self._feed is not None and f"{GNSS_TOPIC}/" in str(sample.key_expr):
+                self._hear_receiver(payload)
+
+    def _hear_receiver(self, payload: bytes) -> None:
+        assert self._feed is not None
+        inbox, *takes = self._feed
+        for measured, is_taken in zip(px4.receiver(payload, self._geoid_m, GNSS_TOPIC) or (), takes, strict=False):
+            if is_taken and measured and (t_ns := self._boot.offset.ours(measured.t_ns)) is not None:
+                inbox.put(replace(measured, t_ns=t_ns, arrived_ns=t_ns))
 
     def _hear_reference(self, payload: bytes, arrived_ns: int) -> None:
         place = px4.local_reference(payload)

@@ -21,9 +21,10 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
     """A checked message as a measurement.
 
     order: place among all; measurement(origin): z or None; absolute: fixes the map position; log_false: ln density of a false
-    reading; slow_errors: carried; detail: remark; alignment_only: a prior, not fused in flight; assumed: substituted accuracy;
-    weighs: evidence between hypotheses, unless considered errors dominate; begin: entry where its time begins; delay_sigma_s: of
-    the validity, s; check(origin): refusal there; uses_rate: depends on the angular rate.
+    reading; slow_errors: carried; detail: remark; alignment_only: a prior, not fused in flight; assumed: substituted
+    accuracy; weighs: evidence between hypotheses, unless considered errors dominate; begin: entry where its time begins;
+    delay_sigma_s: of the validity, s; check(origin): refusal there, STOPPED: of the source; uses_rate: depends on the angular
+    rate.
     """
 
     t_ns: int
@@ -47,6 +48,13 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
     check: "Callable[[Origin | None], Refusal | None] | None" = None
     begin: "Aid | None" = None
     delay_sigma_s: float = 0.0
+
+    def doubted(self, false_share: float) -> "Aid":
+        """The same of a source of which a larger share is false."""
+        log_false = self.log_false + math.log(false_share / self.rules.false_share)
+        return msgspec.structs.replace(
+            self, rules=msgspec.structs.replace(self.rules, false_share=false_share), log_false=log_false
+        )
 
     @property
     def is_reported(self) -> bool:

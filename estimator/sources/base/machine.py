@@ -39,6 +39,8 @@ class SourceState(msgspec.Struct, frozen=True):
     sums: tuple[float, ...] = ()
     failed_ns: int = _NEVER  # first gate that failed since the last reading that was fused
     is_refuted: bool = False  # gates failed for longer than hold_s, while positions confirmed the estimate
+    spoofed_ns: int = _NEVER  # last reading whose receiver reported spoofing
+    false_share: float = 0.0  # of its last reading
     spread_m: tuple[float, float] = (math.inf, 0.0)  # of odometry: smallest and largest sigma of late, fading since last_ns
 
     def arrive(self, rules: Rules, t_ns: int, *, alone: bool) -> "SourceState":
@@ -64,6 +66,8 @@ class SourceState(msgspec.Struct, frozen=True):
             sums,
             failed_ns=self.failed_ns,
             is_refuted=self.is_refuted,
+            spoofed_ns=self.spoofed_ns,
+            false_share=rules.false_share,
         )
 
     def phase_at(self, t_ns: int) -> Phase:
@@ -75,6 +79,13 @@ class SourceState(msgspec.Struct, frozen=True):
         hold_ns, since_ns = round(rules.hold_s * 1e9), max(self.failed_ns, 0) or t_ns
         is_refuted = self.is_refuted or (not alone and 0 < hold_ns < t_ns - since_ns)
         return replace(self, phase=Phase.STOPPED, held_until_ns=t_ns + hold_ns, failed_ns=since_ns, is_refuted=is_refuted)
+
+    def spoofed(self, rules: Rules, t_ns: int) -> "SourceState":
+        """The receiver reports spoofing: held off, then on probation."""
+        state = self.arrive(rules, t_ns, alone=False)
+        return replace(
+            state, phase=Phase.STOPPED, held_until_ns=t_ns + round(rules.hold_s * 1e9), passed=0, sums=(), spoofed_ns=t_ns
+        )
 
     def judge(self, rules: Rules, t_ns: int, *, alone: bool, passed: bool, fused: bool, nu: Array, sigma: Array) -> "SourceState":
         """The measurement passed its gate or not, was fused or not.

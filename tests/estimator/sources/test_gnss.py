@@ -180,8 +180,10 @@ def test_another_reading_of_one_instant_has_another_position() -> None:
 
 
 def test_a_receiver_that_reports_spoofing_is_not_followed() -> None:
-    refusal = position_aid(_fix(state=ReceiverState.SPOOFED), GnssConfig())
-    assert refusal == Refusal(Reason.STOPPED, "the receiver reports spoofing")
+    aid = _aid(position_aid(_fix(state=ReceiverState.SPOOFED), GnssConfig()))
+    assert aid.check is not None
+    assert aid.check(HOME) == Refusal(Reason.STOPPED, "the receiver reports spoofing")
+    assert aid.geodetic is None
 
 
 def test_a_receiver_that_reports_jamming_is_as_likely_false_as_not() -> None:

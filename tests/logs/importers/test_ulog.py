@@ -16,7 +16,17 @@ from logs.importers import ulog
 from logs.importers.recording import EPOCH_NS, ImportOptions, Recording, Times, Truth
 from logs.store.reader import LogError
 from models import so3
-from models.messages import Array, AttitudePrior, GnssFix, GnssVelocity, ImuSample, OdometryDelta, OdometryPose, Reading
+from models.messages import (
+    Array,
+    AttitudePrior,
+    GnssFix,
+    GnssVelocity,
+    ImuSample,
+    OdometryDelta,
+    OdometryPose,
+    Reading,
+    ReceiverState,
+)
 
 LOGS = ["px4_fmuv6c_6s.ulg", "px4_sitl_groundtruth_28s.ulg", "px4_sitl_v115_31s.ulg"]  # v1.14.3, v1.8, v1.15
 
@@ -367,3 +377,14 @@ def test_without_pyulog_the_user_learns_what_to_install(tmp_path: Path, monkeypa
     monkeypatch.setitem(sys.modules, "pyulog", None)
     with pytest.raises(LogError, match=r"pip install 'landfix\[tools\]'"):
         ulog.read(tmp_path / "log.ulg")
+
+
+@pytest.mark.parametrize(("jamming", "spoofing", "state"), [(0, 0, 0), (1, 1, 0), (3, 1, 1), (1, 2, 1), (0, 3, 2)])
+def test_the_flags_of_the_receiver(landfix_data: Path, tmp_path: Path, jamming: int, spoofing: int, state: int) -> None:
+    log = ULog(str(landfix_data / "native_logs" / LOGS[0]))
+    topic = next(d for d in log.data_list if d.name == "vehicle_gps_position")
+    topic.data["jamming_state"][:], topic.data["spoofing_state"][:] = jamming, spoofing
+    log.write_ulog(str(tmp_path / "flagged.ulg"))
+    recording = ulog.read(tmp_path / "flagged.ulg")
+    assert {m.state for m in recording if isinstance(m, GnssFix)} == {ReceiverState(state)}
+    assert any("jamming or spoofing" in note for note in recording.notes) == (state > 0)

@@ -260,6 +260,24 @@ def test_ardupilots_heading_is_of_magnetic_north_until_it_has_an_origin() -> Non
     assert not list(inputs.measured(message, T0, T0, codec.ARDUPILOT))
 
 
+def test_the_heading_of_an_autopilot_with_a_dead_compass_is_not_taken_and_named() -> None:
+    attitude = _over_the_wire(mavlink.MAVLink_attitude_message(7000, 0.1, -0.2, 2.5, 0, 0, 0))
+    inputs = Inputs(MavlinkConfig(), Topics(attitude=("/attitude",)), 0.0)
+
+    def after(field: tuple[float, float, float], updated: int) -> int:
+        numbers = 0.0, 0.0, -9.8, 0.0, 0.0, 0.0, *field, 1013.0, 0.0, 0.0, 20.0
+        message = _over_the_wire(mavlink.MAVLink_highres_imu_message(7_000_000, *numbers, updated))
+        list(inputs.measured(message, T0, T0, codec.PX4))
+        return len(list(inputs.measured(attitude, T0, T0, codec.PX4)))
+
+    assert after((0.2, 0.0, 0.4), 0x1FF) == 1
+    assert after((0.0, 0.0, 0.0), 0x3F) == 1  # nothing is said of the field
+    assert after((0.0, 0.0, 0.0), 0x1FF) == 0
+    assert inputs.report()["attitude"] == "not taken: the autopilot's magnetometer reads zero"
+    assert after((0.2, 0.0, 0.4), 0x1FF) == 1
+    assert "attitude" not in inputs.report()
+
+
 def test_an_attitude_is_asked_for_unless_it_has_no_topic() -> None:
     assert 30 in Inputs(MavlinkConfig(), Topics(), 0.0).wanted
     off = Inputs(MavlinkConfig(), Topics(attitude=()), 0.0)
