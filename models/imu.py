@@ -90,6 +90,7 @@ _C_SIZE = 14
 
 _LEAST_RANGE_GYRO, _LEAST_RANGE_ACCEL = 4.3, 18.0  # rad/s, m/s^2: no sensor ends below 250 deg/s, 2 g
 _LOOK_BACK = 8  # samples
+_AT_ONCE_S = 1e-6
 _TURN_S = 1.0  # a turn lasts about as long; the next one is about another axis, or back
 
 
@@ -109,9 +110,9 @@ def constants(noise: ImuNoise, coast: Coast, origin: Origin | None) -> Array:
 
 
 def in_doubt(constants: Array) -> Array:
-    """Constants of an IMU wrong in an unknown way: noise of an unknown motion, as coasting."""
+    """Constants where the IMU is taken for wrong: the state coasts at all times, straight on, without turning."""
     c = constants.copy()
-    c[_C_GYRO_PSD], c[_C_ACCEL_PSD] = c[_C_COAST_GYRO_PSD], c[_C_COAST_ACCEL_PSD]
+    c[_C_GAP_S], c[_C_TURN_DECAY_S] = 0.0, _AT_ONCE_S
     return c
 
 

@@ -38,6 +38,12 @@ EARLIEST_S, LATEST_S, SETTLED_S = 18.0, 30.0, 12.0  # onsets; errors count from
 OUTAGE_S = (4.0, 12.0)  # before a fault
 COUNTS, LONGEST_S = (1, 3, 8, 20), 20.0  # of false readings
 LEAST_M, TWICE = 1.0, 2.0
+_DEFORMED: tuple[tuple[str, Array], ...] = (
+    ("x as y", np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])),
+    ("z reversed", np.diag([1.0, -1.0, -1.0])),
+    ("twice", 2.0 * np.eye(3)),
+    ("a tenth", 0.1 * np.eye(3)),
+)
 _MORE, _LEAST_S, _STAYS_S, _SAMPLE_S = 3, 3.0, 2.0, 0.02
 _END_S = 110.0
 
@@ -178,6 +184,24 @@ def frozen_fixes(messages: list[Input], begin_ns: int, onset_s: float, rng: Rng,
     return f"{len(stamps)} fixes repeat", held, stamps
 
 
+def turned_fixes(messages: list[Input], begin_ns: int, onset_s: float, rng: Rng, flight: Flight) -> Fault:
+    """The heading of some fixes is another, their position is right."""
+    stamps, angle = _chosen(messages, PoseFix, begin_ns, onset_s, rng), float(rng.uniform(30.0, 180.0))
+    turn = np.radians(angle) * np.array([0.0, 0.0, 1.0])
+    found = [turned(m, turn) if isinstance(m, PoseFix) and m.t_ns in stamps else m for m in messages]
+    return f"heading of {len(stamps)} fixes {angle:.0f} deg off", found, stamps
+
+
+def scattered_fixes(messages: list[Input], begin_ns: int, onset_s: float, rng: Rng, flight: Flight) -> Fault:
+    """Each fix is elsewhere."""
+    stamps, size = _chosen(messages, PoseFix, begin_ns, onset_s, rng), float(rng.uniform(2.0, 30.0))
+    found = [
+        _replace(m, p_n=vec3(m.p_n + size * rng.standard_normal(3))) if isinstance(m, PoseFix) and m.t_ns in stamps else m
+        for m in messages
+    ]
+    return f"{len(stamps)} fixes scatter by {size:.0f} m", found, stamps
+
+
 def stepped_clock(messages: list[Input], begin_ns: int, onset_s: float, rng: Rng, flight: Flight) -> Fault:
     """Stamps of some fixes are late; then the clock is right again."""
     stamps, late_s = _chosen(messages, PoseFix, begin_ns, onset_s, rng), float(rng.uniform(0.1, 0.45))
@@ -243,6 +267,18 @@ def noisy_imu(messages: list[Input], begin_ns: int, onset_s: float, rng: Rng, fl
     return f"IMU {size:g} x noisy {seconds:.1f} s", *found
 
 
+def deformed_imu(messages: list[Input], begin_ns: int, onset_s: float, rng: Rng, flight: Flight) -> Fault:
+    """Axes exchanged or reversed, or another unit, of one sensor or both."""
+    seconds, which = float(rng.uniform(0.5, 5.0)), int(rng.integers(3))
+    words, change = _DEFORMED[int(rng.integers(len(_DEFORMED)))]
+    of_gyro, of_accel = change if which != 1 else np.eye(3), change if which != 0 else np.eye(3)
+    found = _imu_for(
+        messages, begin_ns, onset_s, seconds,
+        lambda m: _replace(m, gyro_b=vec3(of_gyro @ m.gyro_b), accel_b=vec3(of_accel @ m.accel_b)),
+    )  # fmt: skip
+    return f"{('gyro', 'accel', 'IMU')[which]} {words} {seconds:.1f} s", *found
+
+
 def gnss_jumps(messages: list[Input], begin_ns: int, onset_s: float, rng: Rng, flight: Flight) -> Fault:
     """Positions of the receiver with one offset, or one that drifts."""
     stamps = _chosen(messages, GnssFix, begin_ns, onset_s, rng)
@@ -260,7 +296,8 @@ def gnss_jumps(messages: list[Input], begin_ns: int, onset_s: float, rng: Rng, f
     return words, [off(m) if isinstance(m, GnssFix) and m.t_ns in stamps else m for m in messages], stamps
 
 
-_KINDS = [false_fixes, false_fixes, frozen_fixes, stepped_clock, held_imu, biased_imu, dead_axis, noisy_imu]
+_FIXES = [false_fixes, false_fixes, turned_fixes, scattered_fixes, frozen_fixes, stepped_clock]
+_KINDS = [*_FIXES, held_imu, biased_imu, dead_axis, noisy_imu, deformed_imu]
 _GNSS_KINDS = [gnss_jumps, gnss_jumps]
 
 

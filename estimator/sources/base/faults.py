@@ -5,7 +5,7 @@
     pose, range..  the same false reading again          with the false one    LASTS_S     the last one
     any            noisier than it claims                when it is seen       5 s         mismatch/scatter.py measures it
     any            held: equal to the bit in motion      when it is seen       -           held.py; the reading is missing
-    IMU            wrong in an unknown way               a fix nobody predicts until fixes show it right; unknown motion ([coast])
+    IMU            wrong in an unknown way               a fix nobody predicts until fixes show it right; unknown motion
     GNSS           misled for long                       1 - [gnss] trust      to the end  any
     map            elsewhere than the receiver           MAP_ELSEWHERE         to the end  MAP_ELSEWHERE_M
     map, rig, stamps, IMU, fixes: rates an hour, below, for the protection levels ([integrity] replaces them)
