@@ -2,7 +2,7 @@
 
     again_k = ln (sum w_j N(nu_j; 0, S_j) / sum w_j) - dt / tau_k
 
-j: the hypotheses that take it for true. They predict the next false reading too, so one that rejected the last never gains on
+j: the hypotheses that fuse it. They predict the next false reading too, so one that rejected the last never gains on
 them.
 """
 
@@ -69,7 +69,7 @@ def _again(members: list[Hypothesis], aid: Aid, seen: list[Innovation], passed: 
         -(aid.t_ns - doubt.last_ns) * 1e-9 / (again_s if aid.absolute and not doubt.deliberate else lasts) if doubt else 0.0
         for doubt in doubts
     ]
-    follow = [j for j, doubt in enumerate(doubts) if passed[j] and doubt is None]
+    follow = [j for j, doubt in enumerate(doubts) if passed[j] and (doubt is None or (aid.absolute and not doubt.deliberate))]
     predicted = _predicted(members, follow, seen)
     if not aid.absolute:
         follow += [

@@ -1,7 +1,7 @@
 """A source noisier than claimed: its readings scatter about one another.
 
     d_k = nu_k - 2 nu_{k-1} + nu_{k-2},   r_k = d_k^T (S_k + 4 S_{k-1} + S_{k-2})^-1 d_k
-    R <- s R,   s = max(r_(8) / m_50 where r_(3) > chi2_0.96 and most nu_k^T S_k^-1 nu_k > chi2_0.9999, s exp(-dt / tau))
+    R <- s R,   s = max(r_(8) / m_50 where r_(3) > chi2_0.96 and most nu_k^T S_k^-1 nu_k > chi2_0.9999, s^exp(-dt / tau))
 
 r_(k): k-th smallest of the last twelve; m_50: median of chi-square. Offsets, drifts and a wrong filter leave second differences
 small; an outlier makes three large.
@@ -38,7 +38,7 @@ class Scatter(NamedTuple):
         seconds = (t_ns - self.t_ns) * 1e-9
         if self.last and (len(seen.nu) != len(self.last[-1][0]) or seconds > _APART_S):
             return Scatter(t_ns, ((seen.nu, s),))
-        faded = 1.0 + (self.factor - 1.0) * math.exp(-seconds / _FADES_S)
+        faded = self.factor ** math.exp(-seconds / _FADES_S)
         factor, ratios, last = faded if faded > _GONE else 1.0, self.ratios, (*self.last[-1:], (seen.nu, s))
         if len(self.last) == 2:
             (nu_2, s_2), (nu_1, s_1) = self.last
