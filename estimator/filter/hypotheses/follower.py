@@ -25,6 +25,7 @@ _UNSEEN_S, _FORGOTTEN_S = 0.5, 5.0  # a wrong IMU has been so since the last fix
 _LIKELY = 0.25  # share of the unknown motion within which an IMU that is wrong explains a fix
 _SEEN = 3.0  # ln: so far behind the leading one a new follower counts in the covariance
 _UNSEEN = 10.0  # ln: by so much less one counts there whose source is refused already
+_OTHER_BIASES = np.repeat((0.01, 0.1), 3)  # rad/s, m/s^2: by so much they may differ after a fault of the IMU
 _FEW = 3  # fixes of a follower, too few to decide
 
 
@@ -106,5 +107,6 @@ def with_imu_right(lead: Hypothesis, t_ns: int) -> Hypothesis:
     assert lead.right is not None
     other = lead.copy()
     other.adopt(lead.right, doubts_imu=False)
+    other.filter.widen_biases(_OTHER_BIASES)
     other.weight, other.parted_ns = lead.weight - MARGIN, t_ns
     return other

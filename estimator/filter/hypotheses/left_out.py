@@ -106,7 +106,8 @@ def begin_again(
             members[0].refuted_ns = aid.t_ns
             members.remove(member)
         elif right is not None:
-            member.filter, member.fused_ns, member.begun_at_fix = right.filter.copy(), aid.t_ns, not fused[0]
+            member.filter, member.right = right.filter.copy(), right.right
+            member.fused_ns, member.begun_at_fix = aid.t_ns, not fused[0]
             if member.begun_at_fix:
                 member.benefit = members[0].weight - member.weight  # until the next fix both count alike
             member.doubts.pop(aid.topic, None)
