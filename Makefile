@@ -74,7 +74,7 @@ lock: install  ## write the lock files anew from pyproject.toml
 	UV_CUSTOM_COMPILE_COMMAND="make lock" $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
 		--no-emit-index-url --no-emit-find-links --extra site --constraint requirements.lock $(UPGRADE) \
 		--output-file requirements-site.lock pyproject.toml
-	printf "lxml ; python_version < '3'\n" | UV_CUSTOM_COMPILE_COMMAND="make lock" $(BIN)/uv pip compile --quiet --universal --python-version 3.11 \
+	printf "matplotlib ; python_version < '3'\nlxml ; python_version < '3'\n" | UV_CUSTOM_COMPILE_COMMAND="make lock" $(BIN)/uv pip compile --quiet --universal --python-version 3.11 \
 		--generate-hashes --no-emit-index-url --no-emit-find-links --overrides - --constraint requirements.lock $(UPGRADE) \
 		--output-file requirements-flight.lock pyproject.toml
 

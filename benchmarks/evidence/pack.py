@@ -117,7 +117,7 @@ def assumptions() -> Table:
 
 def versions() -> dict[str, Any]:
     """What made the numbers."""
-    names = ("numpy", "scipy", "numba", "msgspec", "pymap3d")
+    names = ("numpy", "scipy", "numba", "msgspec", "filterpy", "pymap3d")
     return {
         "landfix": version(),
         "program": code(),

@@ -3,7 +3,11 @@
     x <- x (+) dx,   P <- G P G^T,   G_theta = I - [theta/2]x                         (Sola 2017, sec. 6, eq. 287)
 
 Behind the 15 error states P carries slow errors, which repeat from fix to fix, most of them *considered*: never corrected
-(kalman.py); and a kept pose (stochastic clone), an estimated block (dp, theta).
+(Schmidt 1966). A reading has of the considered errors c only their sum e = H_c c, so the update is that of the others and of e:
+
+    (a, e) <- update,   P_ac <- P_ac - K_a (H P)_c,   P_cc stays                        (Bierman 1977, sec. VIII.3)
+
+A kept pose (stochastic clone) is an estimated block (dp, theta).
 """
 
 import math
@@ -13,9 +17,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from estimator.filter import kalman
 from estimator.filter.imu_buffer import ImuBuffer
+from estimator.filter.kalman import ErrorStateKalman
 from estimator.filter.slow_errors import NO_SLOW_ERRORS, SlowErrors
 from models import cholesky, imu, so3
 from models.measurements import Curved, Measurement, innovation_covariance, mahalanobis
@@ -27,6 +32,7 @@ _WIDEST = 1.0  # rad: of the attitude after widen()
 _XYZ = 3
 NO_CLONES: dict[str, Array] = {}
 _LN_2PI = math.log(2.0 * math.pi)
+_kalman = cache(ErrorStateKalman)  # one wrapper for each size of the state
 _identity = cache(np.eye)
 
 
@@ -205,10 +211,17 @@ class Eskf:
         cholesky.symmetrise(self.cov)
 
     def correct(self, seen: Innovation) -> Array:
-        """Fuse into P and the slow errors; returns dx (15,), not injected yet."""
-        dx = kalman.update(self.cov, seen.nu, seen.h, seen.hp, seen.noise, self.slow.estimated)
-        if len(dx) > E.SIZE:
-            self.slow = self.slow.moved(dx[E.SIZE :])
+        """Fuse a measurement into P and the slow errors; the error dx (15,) of the state, which is not moved yet."""
+        if len(self.cov) == E.SIZE:
+            dx, self.cov, _ = _kalman(E.SIZE).update(self.cov, seen.nu, seen.h, seen.noise)
+            return dx
+        kept, cov, h = summed(self.cov, seen.h, self.slow.estimated)
+        dx, cov, gain = _kalman(len(cov)).update(cov, seen.nu, h, seen.noise)
+        spread(self.cov, cov, gain, seen.hp, kept)
+        if len(kept) > E.SIZE:
+            by = np.zeros(len(self.slow.mean))
+            by[kept[E.SIZE :] - E.SIZE] = dx[E.SIZE : len(kept)]
+            self.slow = self.slow.moved(by)
         return dx[: E.SIZE]
 
 
@@ -224,6 +237,56 @@ def compare(nu: Array, cov: Array, h: Array, noise: Array, mean: Array) -> tuple
     s, hp = innovation_covariance(cov, h, noise)
     distance2, logdet = mahalanobis(nu, s)
     return hp, s, distance2, logdet
+
+
+@njit(cache=True, error_model="numpy")
+def summed(cov: Array, h: Array, estimated: Array) -> tuple[NDArray[np.intp], Array, Array]:
+    """Which states a (k,) of P (n, n) are corrected, and P (k + m, k + m) and H (m, k + m) of a and e = H_c c, H (m, n).
+
+    estimated: (n - 15,) 0 where a slow error is considered.
+    """
+    kept, k, m = np.arange(_N + estimated.shape[0]), _N, h.shape[0]
+    for i in range(estimated.shape[0]):
+        if estimated[i] != 0.0:
+            kept[k] = _N + i
+            k += 1
+    kept = kept[:k].copy()
+    of_considered = h.copy()
+    by = np.zeros((m, k + m))
+    for i in range(m):
+        for j in range(k):
+            by[i, j] = h[i, kept[j]]
+            of_considered[i, kept[j]] = 0.0
+        by[i, k + i] = 1.0
+    between, with_all = innovation_covariance(cov, of_considered, np.zeros((m, m)))
+    small = np.empty((k + m, k + m))
+    for i in range(m):
+        for j in range(m):
+            small[k + i, k + j] = between[i, j]
+    for i in range(k):
+        for j in range(k):
+            small[i, j] = cov[kept[i], kept[j]]
+        for j in range(m):
+            small[i, k + j] = with_all[j, kept[i]]
+            small[k + j, i] = with_all[j, kept[i]]
+    return kept, small, by
+
+
+@njit(cache=True, error_model="numpy")
+def spread(cov: Array, posterior: Array, gain: Array, hp: Array, kept: NDArray[np.intp]) -> None:
+    """P (n, n), in place, from what `summed` made and the update turned into posterior and gain (k + m, m); hp: H P (m, n)."""
+    n, k = cov.shape[0], kept.shape[0]
+    for i in range(k):
+        row = cov[kept[i]]
+        for line in range(hp.shape[0]):
+            for j in range(n):
+                row[j] -= gain[i, line] * hp[line, j]
+    for i in range(k):
+        for j in range(k):
+            cov[kept[i], kept[j]] = posterior[i, j]
+    for i in range(k):
+        for j in range(n):
+            cov[j, kept[i]] = cov[kept[i], j]
 
 
 @njit(cache=True, error_model="numpy")

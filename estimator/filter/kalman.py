@@ -1,74 +1,38 @@
-"""The Kalman update of the error, which is zero before it, so that nu is the whole residual:
+"""The Kalman update: filterpy's Kalman filter behind one wrapper that checks shapes.
 
     S = H P H^T + R,  K = P H^T S^-1,  dx = K nu,  P <- (I - K H) P (I - K H)^T + K R K^T       (Joseph form)
 
-Rows of K are zero where an error is only considered, for which Joseph's form holds as well (Schmidt 1966): it is not corrected.
+The filter's own state is the error, which is zero before every update, so nu is the whole residual. This is the only file that
+imports filterpy: its `update` broadcasts a column into a matrix without a word, has no gate, and keeps P only nearly symmetric.
 """
 
 import numpy as np
-from numba import njit
+from filterpy.kalman import KalmanFilter
 
 from models import cholesky
 from models.messages import Array
 
 
-def update(cov: Array, nu: Array, h: Array, hp: Array, noise: Array, estimated: Array) -> Array:
-    """Error dx (n,); P (n, n) becomes the posterior in place, symmetric.
+class ErrorStateKalman:
+    """One update of an n-dimensional error state; holds no state between calls."""
 
-    nu: (m,); h, hp: H and H P (m, n); noise: (m, m); estimated: (k,) of the last k errors, 0 if considered. Raises ValueError for
-    shapes, numpy.linalg.LinAlgError unless S is positive definite.
-    """
-    m, n = len(nu), len(cov)
-    if nu.shape != (m,) or h.shape != (m, n) or hp.shape != (m, n) or noise.shape != (m, m) or cov.shape != (n, n):
-        raise ValueError(f"shapes do not fit: nu {nu.shape}, H {h.shape}, H P {hp.shape}, R {noise.shape}, P {cov.shape}")
-    if estimated.ndim != 1 or len(estimated) > n:
-        raise ValueError(f"shapes do not fit: estimated {estimated.shape}, P {cov.shape}")
-    return _update(cov, nu, h, hp, noise, estimated)
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._zero = np.zeros(size)
+        self._filter = KalmanFilter(dim_x=size, dim_z=1)
+        self._filter.inv = cholesky.inverse  # of S, symmetric and small
 
+    def update(self, cov: Array, nu: Array, h: Array, noise: Array) -> tuple[Array, Array, Array]:
+        """Error dx (n,), posterior covariance (n, n), symmetric, and the gain K (n, m).
 
-@njit(cache=True, error_model="numpy")
-def _update(cov: Array, nu: Array, h: Array, hp: Array, noise: Array, estimated: Array) -> Array:
-    """With M = P - K H P:  P <- M - (M H^T - K R) K^T."""
-    gain, dx = _gain(h, hp, noise, estimated), np.zeros(cov.shape[0])
-    n, m = gain.shape
-    left = np.zeros((m, n))  # (M H^T - K R)^T
-    for i in range(n):
-        for line in range(m):
-            dx[i] += gain[i, line] * nu[line]
-            for j in range(n):
-                cov[i, j] -= gain[i, line] * hp[line, j]
-    for line in range(m):
-        for k in range(n):
-            if h[line, k] != 0.0:  # most are 0
-                for i in range(n):
-                    left[line, i] += cov[i, k] * h[line, k]
-        for k in range(m):
-            for i in range(n):
-                left[line, i] -= gain[i, k] * noise[k, line]
-    for i in range(n):
-        for line in range(m):
-            for j in range(n):
-                cov[i, j] -= left[line, i] * gain[j, line]
-    cholesky.symmetrise(cov)
-    return dx
-
-
-@njit(cache=True, error_model="numpy")
-def _gain(h: Array, hp: Array, noise: Array, estimated: Array) -> Array:
-    m, n = h.shape
-    s, low, solved, gain = np.empty((m, m)), np.empty((m, m)), hp.copy(), np.empty((n, m))
-    for i in range(m):
-        for j in range(i + 1):
-            s[i, j] = 0.5 * (noise[i, j] + noise[j, i])
-            for k in range(n):
-                s[i, j] += h[i, k] * hp[j, k]
-    if not cholesky.factor(s, low):
-        raise np.linalg.LinAlgError("not positive definite")
-    cholesky.forward(low, solved)
-    cholesky.backward(low, solved)
-    first = n - estimated.shape[0]
-    for i in range(n):
-        is_corrected = i < first or estimated[i - first] != 0.0
-        for line in range(m):
-            gain[i, line] = solved[line, i] if is_corrected else 0.0
-    return gain
+        cov: (n, n) prior; nu: (m,); h: (m, n); noise: (m, m).
+        Raises ValueError where a shape does not fit; numpy.linalg.LinAlgError where S is not positive definite.
+        """
+        m, n = len(nu), self._size
+        if nu.shape != (m,) or h.shape != (m, n) or noise.shape != (m, m) or cov.shape != (n, n):
+            raise ValueError(f"shapes do not fit: nu {nu.shape}, H {h.shape}, R {noise.shape}, P {cov.shape}, n = {n}")
+        kalman = self._filter
+        kalman.x, kalman.P, kalman.R = self._zero, cov, noise
+        kalman.update(nu, H=h)
+        cholesky.symmetrise(kalman.P)
+        return kalman.x, kalman.P, kalman.K
