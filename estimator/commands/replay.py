@@ -69,13 +69,13 @@ def command(
         print_json(summary)
     else:
         print_summary(summary, out)
-    if summary.advice:
-        note(f"landfix: no estimate: {summary.advice}")
     for finding in summary.findings[:1]:
         more = f" ({len(summary.findings) - 1} more: landfix doctor)" if len(summary.findings) > 1 else ""
         note(f"landfix: at fault: {finding}{more}")
     if summary.remark:
         note(f"landfix: {summary.remark}")
+    if summary.advice:
+        note(f"landfix: no estimate: {summary.advice}")
     if summary.advice or any(finding.unfit for finding in summary.findings):
         raise typer.Exit(1)
 

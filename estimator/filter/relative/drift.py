@@ -1,9 +1,10 @@
 """Drift of an odometry: a velocity d in n, considered, widened by what an innovation makes probable (docs/odometry.md).
 
     p = pi L_1 / (pi L_1 + (1 - pi) L_0),   L_0 = N(nu; 0, S),   L_1 = N(nu; 0, S + sigma_b^2 dt^2 I)
-    P_dd <- P_dd + p u u^T,                 u = R_0 nu / dt
+    P_dd <- P_dd + max(p - pi, 0) u u^T,    u = R_0 nu / dt
 
-pi: share of false increments; sigma_b: of a drift that begins. The first increment of a drift is often just inside the gate; the
+pi: share of false increments; sigma_b: of a drift that begins. An innovation that makes no drift more probable than before, as
+that of a noisy flow sensor, widens nothing. The first increment of a drift is often just inside the gate; the
 velocity follows it, and no later one is off.
 """
 
@@ -30,7 +31,7 @@ def suspect(eskf: Eskf, seen: Innovation, aid: OdometryAid, z: RelativePose, sha
     if not len(nu):
         return False
     u = j.T @ nu / float(np.sum(j[0] ** 2))
-    p = share if share == 1.0 else _posterior(nu, s, s + BEGINS_M_S**2 * j @ j.T, share)
+    p = share if share == 1.0 else _posterior(nu, s, s + BEGINS_M_S**2 * j @ j.T, share) - share
     if p * float(u @ u) < _NOTHING_M2_S2:
         return False
     eskf.cov[at, at] += p / eskf.variance_factor * np.outer(u, u)

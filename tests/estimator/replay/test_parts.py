@@ -9,7 +9,7 @@ from estimator.cli import app
 from estimator.config import Config, load
 from estimator.replay.replay import replay
 from logs.store.reader import Attachment, LogError, LogReader, Record
-from logs.store.recorder import Recorder
+from logs.store.recorder import FINDINGS_ATTACHMENT, Recorder
 from logs.store.recover import recover
 from logs.wire.codec import encode_input
 from models.messages import ImuSample
@@ -59,7 +59,7 @@ def _attachments(log: Path) -> list[Attachment]:
     with LogReader(log) as reader:
         for _ in reader:
             pass
-        return reader.attachments
+        return [a for a in reader.attachments if a.name != FINDINGS_ATTACHMENT]
 
 
 def test_the_parts_in_any_order_or_their_folder_replay_to_the_bytes_of_the_whole(

@@ -57,7 +57,7 @@ def test_the_increment_in_which_a_drift_begins_passes_the_gate_and_widens_what_i
     assert _step(f, samples, 0.26) is Reason.FUSED
     at = f.slow.columns[BLOCK]
     sigmas = np.sqrt(f.cov[at, at].diagonal())
-    assert sigmas[0] > 0.07  # to the north, which is on the body's left
+    assert sigmas[0] > 0.06  # to the north, which is on the body's left
     np.testing.assert_allclose(sigmas[1:], DRIFT_M_S, rtol=0.02)
 
 
@@ -81,4 +81,4 @@ def test_rotations_alone_say_nothing_of_it() -> None:
     assert _step(f, samples, 5.0, given=(3, 4, 5)) is Reason.FUSED
     assert drift.sigma_m_s(f, BLOCK) == pytest.approx(ANY, rel=0.02)
     assert _step(f, samples, 0.26, given=(1, 5)) is Reason.FUSED  # the left row of wheels
-    assert drift.sigma_m_s(f, BLOCK) > 2.0 * ANY
+    assert drift.sigma_m_s(f, BLOCK) > 1.9 * ANY
