@@ -584,6 +584,7 @@ def test_a_flight_over_mavlink_is_flown_sent_logged_and_replayed_to_the_same_byt
             assert autopilot.of("GLOBAL_POSITION_SENSOR") == []
             flight.has_gnss = False
             flight.until(lambda: len(autopilot.of("GLOBAL_POSITION_SENSOR")) > 3, "fixes from outside are sent")
+            flight.until(lambda: any(m.quality > 80 for m in autopilot.of("ODOMETRY")), "its quality is sent")
         sent, fixes = autopilot.of("ODOMETRY"), autopilot.of("GLOBAL_POSITION_SENSOR")
     (log,) = logs_of(tmp_path)
     assert errors_in_sigma(odometry(log)).max() < 5.0
