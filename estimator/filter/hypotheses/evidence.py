@@ -70,14 +70,14 @@ def _again(members: list[Hypothesis], aid: Aid, seen: list[Innovation], passed: 
         for doubt in doubts
     ]
     follow = [j for j, doubt in enumerate(doubts) if passed[j] and (doubt is None or (aid.absolute and not doubt.deliberate))]
-    predicted = _predicted(members, follow, seen)
+    predicted = by_all = _predicted(members, follow, seen)
     if not aid.absolute:
         follow += [
             j
             for j, doubt in enumerate(doubts)
             if passed[j] and doubt and not doubt.deliberate and predicted + fades[j] <= seen[j].log_likelihood + MARGIN
         ]
-    by_all = _predicted(members, follow, seen)
+        by_all = _predicted(members, follow, seen)
     again = [(predicted if fits else by_all) + fade for fits, fade in zip(passed, fades, strict=True)]
     return [a if doubt and a > -math.inf else None for a, doubt in zip(again, doubts, strict=True)]
 

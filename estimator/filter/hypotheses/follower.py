@@ -32,8 +32,8 @@ _FEW = 3  # fixes of a follower, too few to decide
 def begin(lead: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, limit: float, *, vouched: bool) -> Hypothesis | None:
     """A copy of the leading hypothesis that fuses the fix; weight: relative to it.
 
-    IMU wrong: P <- P + Q(dt) of a continuing unknown motion. Where that does not explain the fix: P_pp <- P_pp + nu_p nu_p^T,
-    same motion; likewise the attitude.
+    IMU wrong: P <- P + Q(dt) of an unknown motion since the last fix; from here on it coasts. Where that does not explain the
+    fix: P_pp <- P_pp + nu_p nu_p^T, same motion; likewise the attitude.
     """
     other = lead.copy()
     other.without, other.doubts = "", {}
