@@ -307,7 +307,7 @@ class Fusion:
         return []
 
     def _note_lead(self, message: ImuSample | Tick) -> None:
-        """Bound the stamps' clock offset by the quickest message, relaxed by 0.1 s in a second."""
+        """By the quickest message, relaxed by 0.1 s in a second."""
         lead_ns = message.t_ns - message.arrived_ns
         if self._lead is not None:
             quickest_ns, noted_ns = self._lead
@@ -317,7 +317,7 @@ class Fusion:
         self._lead = lead_ns, message.arrived_ns
 
     def _future(self, message: Input) -> Refusal | None:
-        """A stamp that runs ahead of the stamps' clock, as estimated from arrivals, by more than 1 s."""
+        """A stamp ahead of the stamps' clock, by arrivals, by more than 1 s."""
         ahead_ns = self._ahead_ns(message)
         return Refusal(Reason.IN_FUTURE, f"{ahead_ns * 1e-9:.1f} s ahead") if ahead_ns > _FUTURE_NS else None
 

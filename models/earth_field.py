@@ -2,8 +2,8 @@
 
     V = a sum_n (a/r)^(n+1) sum_m (g_nm cos m lambda + h_nm sin m lambda) P_nm(sin phi'),   B = -grad V,   a = 6371200 m
 
-P_nm: Schmidt's semi-normalised functions; g(t) = g + (t - 2025) dg/dt. Sigma of omitted parts (crust): 138 nT, inclination 0.2
-deg, declination sqrt(0.26^2 + (5417 nT / H)^2) deg, H horizontal strength.
+P_nm: Schmidt semi-normalised; g(t) = g + (t - 2025) dg/dt. Sigma of the crust: 138 nT, inclination 0.2 deg, declination
+sqrt(0.26^2 + (5417 nT / H)^2) deg, H horizontal strength.
 """
 
 import math

@@ -92,8 +92,8 @@ class LandmarkFix(msgspec.Struct, frozen=True, eq=False):
 
         covariance_common = sum_j L_j L_j^T + covariance_rig
 
-    directions: D (r, 6), measured combinations of xi = (dp_n, dtheta_n), orthonormal with a radian as RADIAN_M; None: the pose.
-    readings: y (r,) m from the reported pose:
+    directions: D (r, 6), measured combinations of xi = (dp_n, dtheta_n), orthonormal, a radian as RADIAN_M; None: the pose.
+    readings: y (r,) m:
 
         D (x_true (-) x_fix) = y + v,   v ~ N(0, D (covariance + covariance_common) D^T)
     """

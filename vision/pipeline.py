@@ -4,7 +4,7 @@
           -> all outlines as one pattern (pattern.py) where single outlines are too weak
           -> segment and identify (recognise.py)  at boot, where the prior is lost, or where that does not settle
 
-One camera suffices where the other has no usable image.
+One camera suffices.
 """
 
 from dataclasses import replace

@@ -47,8 +47,6 @@ class SegmentConfig:
 
 @dataclass(frozen=True, slots=True)
 class _Views:
-    """The images rectified; the first is the left one, or the only good one."""
-
     work: Image
     other: Image | None
     valid: Mask | None
@@ -56,8 +54,6 @@ class _Views:
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    """Regions that can be identified with their sightings, and reports of those that cannot."""
-
     regions: list[Region]
     sightings: list[Sighting]
     refused: list[RegionReport]
@@ -211,7 +207,6 @@ class SegmentPath:
 
 
 def _rows_sigma(rig: StereoRig) -> float:
-    """Calibration sigma of row differences [px]: f drx, principal points."""
     turn = 0.0 if rig.covariance_rc is None else float(rig.covariance_rc[3, 3]) * rig.left.fy**2
     return float(np.sqrt(turn + sum(float(c.covariance[3, 3]) for c in (rig.left, rig.right) if c.covariance is not None)))
 

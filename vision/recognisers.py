@@ -8,7 +8,7 @@
     peak and another evidence  a clear peak: edge directions, likely blocks, or images of two other views that agree
     ridge                      nothing succeeded, best positions on one line: across it, peak.py
 
-The image counts as one landmark, named as its file. Results depend on the requests alone: a replay decides the same.
+The image is one landmark, named as its file. Results depend on the requests alone.
 """
 
 from collections.abc import Iterator
@@ -82,12 +82,11 @@ class _Likely:
     length_m: float
 
     def shows_the_same(self, other: "_Likely") -> bool:
-        """Too little of the view is new: a false match would recur."""
+        """A false match would recur."""
         apart = [np.linalg.norm(self.shown_n[0] - shown) for shown in other.shown_n]
         return bool(min(apart) < _NEW_VIEW * self.length_m)
 
     def agrees(self, before: "_Likely") -> bool:
-        """Whether both show the same prior error, but for its growth."""
         apart = self.offset_n - before.offset_n
         drift = np.diag(np.maximum(self.prior - before.prior, 0.0))
         return bool(apart @ np.linalg.solve(self.covariance + before.covariance + drift, apart) < _SAME_99)
@@ -137,7 +136,6 @@ class Recognisers:
         return last if last.fix is not None else self._across(known, rig, found, last, prior)
 
     def _by_peak(self, known: MapImage, rig: StereoRig, found: Registered | NotRegistered, prior: Prior, laid: Result) -> Result:
-        """A fix by the peak alone or with other evidence; a pose without fix where only clear; else the blocks' outcome."""
         peak, config = found.peak, self._config.peak
         if peak is None:
             return laid
@@ -196,10 +194,7 @@ class Recognisers:
         return _fixed(t_ns, known.image.name, found.pose, (found.tried, found.agreed), evidence)
 
     def _is_confirmed(self, pose: PoseEstimate, peak: Peak, t_ns: int, prior: Prior, views: int) -> bool:
-        """Whether `views` views show the same prior error; else this one waits.
-
-        A repeated view confirms nothing.
-        """
+        """A repeated view confirms nothing."""
         variance, length_m = np.diag(prior.covariance)[:3], peak.q * self._config.registration.coarse
         now = _Likely(t_ns, pose.joint_p_n - prior.p_n, pose.joint_covariance[:3, :3], variance, (peak.shown_n,), length_m)
         before = self._likely

@@ -141,8 +141,6 @@ def adjust(problem: Problem) -> Solution:
 
 
 class _Terms(NamedTuple):
-    """Residual (M,) of a view, derivatives by shared unknowns (M, m), pose (M, 6), bow (M, 3)."""
-
     r: Array
     J_s: Array
     J_v: Array
@@ -173,7 +171,7 @@ def _terms(problem: Problem, i: int, mask: NDArray[np.bool_]) -> _Terms:
 
 
 def _bow_modes(x_o: Array) -> Array:
-    """x^2, x y, y^2 (N, 3) [m^2]; the pose takes linear terms."""
+    """x^2, x y, y^2 (N, 3) [m^2]."""
     x, y = x_o[:, :2].T
     return np.column_stack((x * x, x * y, y * y))
 

@@ -1,4 +1,4 @@
-"""Covariance of shared unknowns s, with corner errors common to a view (Bell & McCaffrey 2002) or to all.
+"""Covariance of shared unknowns s with common corner errors (Bell & McCaffrey 2002).
 
     C = sigma^2 H^-1,   sigma^2 = r^T r / redundancy,   H = sum H_i over the views,   s = W z,   W^T H W = I
     y_i = (I - M_i)^-1/2 W^T g_i,   M_i = W^T H_i W,   E[y_i y_i^T] = sigma^2 M_i for independent errors

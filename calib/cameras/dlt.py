@@ -4,7 +4,7 @@
     D F = R,   F = (D^T D)^-1 D^T R   with a44 = 1                                                      (eq. 3.49-3.51)
     A ~ K [R_co | t_co],   camera location p_o = -R_co^T t_co                                           (eq. 3.74-3.77)
 
-The third row of A is a41 ... a44 (Abdel-Aziz and Karara 1971).
+(Abdel-Aziz and Karara 1971)
 """
 
 from dataclasses import dataclass
@@ -74,7 +74,6 @@ def decompose(A: Array) -> Decomposition:
 
 
 def _normalising(x: Array) -> Array:
-    """Points to mean 0 and mean distance sqrt(d) (Hartley 1997)."""
     d = x.shape[1]
     scale = np.sqrt(d) / np.mean(np.linalg.norm(x - x.mean(axis=0), axis=1))
     T: Array = np.eye(d + 1) * scale

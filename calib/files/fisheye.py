@@ -1,4 +1,4 @@
-"""Fisheye: the equidistant model as the equal rational one, below 90 degrees off the axis.
+"""Fisheye: the equidistant model as an equal rational one, below 90 degrees.
 
 r_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8),  theta = atan r    (Kannala & Brandt 2006)
 ~ r (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6)

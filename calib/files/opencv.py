@@ -101,7 +101,6 @@ def rectified(rig: StereoRig) -> tuple[Array, Array, Array, Array]:
 
 
 def _derived(rig: StereoRig) -> dict[str, Array]:
-    """Rectification R1 R2 P1 P2 Q, essential E = [t]x R, fundamental matrix F."""
     R1, R2, P1, P2 = rectified(rig)
     f, cx, cy = P1[0, 0], P1[0, 2], P1[1, 2]
     Q = np.array([[1.0, 0.0, 0.0, -cx], [0.0, 1.0, 0.0, -cy], [0.0, 0.0, 0.0, f], [0.0, 0.0, 1.0 / rig.baseline_m, 0.0]])
@@ -127,7 +126,7 @@ def _put_camera(storage: cv2.FileStorage, camera: CameraModel, matrix: str, dist
 
 
 def _deepest(text: str) -> int:
-    """Upper bound of the nesting of XML, YAML or JSON. Raises ExpatError."""
+    """Upper bound of the nesting. Raises ExpatError."""
     depth = deepest = 0
 
     def begin(*_: object) -> None:

@@ -3,8 +3,8 @@
     sigma^2(tau) = 1 / (2 (K - 2m)) sum_k ((theta_{k+2m} - 2 theta_{k+m} + theta_k) / tau)^2      (overlapping, tau = m h)
     sigma^2(tau) = N^2 / tau + (2 ln 2 / pi) B^2 + K^2 tau / 3              (IEEE Std 952-1997, annex C)
 
-theta: integrated signal; N: noise density [unit / sqrt(Hz)], B: bias instability, K: random walk [unit / s / sqrt(Hz)]. Without a
-stretch of this form N = sigma(tau) sqrt(tau) at the longest tau.
+theta: integrated signal; N: noise density [unit / sqrt(Hz)], B: bias instability, K: random walk [unit / s / sqrt(Hz)]. Otherwise
+N = sigma(tau) sqrt(tau) at the longest tau.
 """
 
 from dataclasses import dataclass

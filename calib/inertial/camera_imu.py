@@ -1,9 +1,8 @@
-"""Camera on an IMU: rotation, translation, time offset from a moving recording of a fixed board.
+"""Camera on an IMU from a moving recording of a fixed board.
 
     min sum_k e_k^T e_k over (p_bc, R_bc, time offset, tilt of the board, gravity)    (Hol 2010)
 
-e: normalised innovations (grey_box.py). Covariance: (J^T J)^-1, J = de/dtheta, times mean square e where above 1, plus the
-camera's own.
+e: normalised innovations (grey_box.py). Covariance: (J^T J)^-1 max(1, mean e^2), plus the camera's.
 """
 
 from collections.abc import Callable, Sequence
@@ -104,8 +103,6 @@ def calibrate(
 
 
 class _Problem:
-    """Everything but theta: the recording, the measured poses, first guesses."""
-
     def __init__(self, imu: Recording, stamps_ns: Times, poses: BoardPoses, noise: ImuNoise) -> None:
         self.imu, self.stamps_ns, self.poses, self.noise = imu, stamps_ns, poses, noise
         self.u = np.hstack((imu.gyro, imu.accel))
@@ -113,7 +110,6 @@ class _Problem:
         self.R_no0 = self._level()
 
     def without(self, bad: NDArray[np.bool_]) -> "_Problem":
-        """Without some of the images after the first."""
         kept = np.concatenate(([True], ~bad))
         fewer = object.__new__(_Problem)
         fewer.__dict__.update(self.__dict__)
@@ -121,7 +117,6 @@ class _Problem:
         return fewer
 
     def R_bc(self, theta: Array) -> Array:
-        """Rotation of theta."""
         return np.asarray(so3.matrix(so3.quat_exp(theta[_ROTATION].copy())) @ self.R_bc0)
 
     def residuals(self, theta: Array, poses: BoardPoses | None = None) -> Array:
@@ -206,7 +201,7 @@ def _check_turned(rate_b: Array) -> None:
 
 
 def _turn_between(a: Array, b: Array) -> tuple[float, Array]:
-    """Median square of a - R b, and R, biases removed (Kabsch 1976)."""
+    """R, biases removed, and median square of a - R b (Kabsch 1976)."""
     a, b = a - np.median(a, axis=0), b - np.median(b, axis=0)
     U, _, Vt = np.linalg.svd(a.T @ b)
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt

@@ -110,7 +110,7 @@ def static_noise(t_ns: NDArray[np.int64], gyro: Array, accel: Array) -> Static:
 
 
 def _evenly(t_ns: NDArray[np.int64], rate: float) -> NDArray[np.int64]:
-    """Sample nearest to each even tick: interpolation would smooth noise."""
+    """Nearest samples: interpolation would smooth noise."""
     since = 1e-9 * (t_ns - t_ns[0])  # small numbers: a float of the epoch's nanoseconds is good to 256 of them
     ticks = np.arange(int(since[-1] * rate) + 1) / rate
     return np.searchsorted(0.5 * (since[1:] + since[:-1]), ticks)

@@ -123,7 +123,6 @@ def _percentile(values: Iterable[float], percent: float) -> float | None:
 
 
 def _begin() -> None:
-    """One thread a process; everything is compiled before timing."""
     cv2.setNumThreads(1)
     sample = draw("accuracy", "painted", 0, 0)
     ask(sample, sift_points(sample.left), timed=True, pairs=1)

@@ -194,7 +194,6 @@ def _partly(scene: Scene, p_n: Array, R_nb: Array, rng: np.random.Generator) -> 
 
 
 def _without(scene: Scene, names: set[str]) -> Scene:
-    """The scene without these landmarks: neither built nor mapped."""
     world = scene.world
     kept = [(m, appearance) for m, appearance in zip(world.landmarks, world.appearances, strict=True) if m.id not in names]
     left = World(tuple(m for m, _ in kept), tuple(appearance for _, appearance in kept), world.clutter, world.ground, world.sun)

@@ -1,9 +1,9 @@
-"""A receiver in lasting conflict with the estimate: the remaining chance that the map is wrong (docs/decision.md).
+"""A receiver in lasting conflict with the estimate: the map may be wrong (docs/decision.md).
 
     P <- P + w (S + d d^T),     w = w_0 exp(-(|d| / d_0)^2)                    (Bar-Shalom, Li, Kirubarajan 2001, 1.4.16)
 
-d (3,) [m]: to the receiver's position; S (3, 3) [m^2]: its covariance; w_0: share of conflicts with a wrong map; d_0 [m]: size of
-map errors, which bounds the effect of spoofing.
+d (3,) [m]: to the receiver's position, of covariance S (3, 3); w_0: share of conflicts with a wrong map; d_0 [m]: size of map
+errors.
 """
 
 import math

@@ -1,11 +1,10 @@
 """Exact rewind: the estimate is a function of the set of measurements, ordered by validity, never by arrival.
 
-For a late measurement the tracker returns to the checkpoint before it and redoes everything, gates and source machines included:
-late = punctual, to the bit. Checkpoints stand only at IMU samples and aids, so they change no bit.
+A late measurement returns the tracker to the checkpoint before it, gates and source machines included: late = punctual, to the
+bit. Checkpoints stand at IMU samples and aids only.
 
-Outputs do not wait: a slice is redone behind each, while the tracker of before goes on by the IMU alone. Slices are cut by
-stamps, not the clock (equal in replay). If the redone tracker loses estimate or heading, the one of before goes on, for
-`history_s` at most. A measurement whose processing raises is INTERNAL and passed over.
+Behind each output a slice, cut by stamps, is redone, while the former tracker goes on by the IMU. If the redone one loses
+estimate or heading, the former goes on for `history_s`. A measurement that raises is INTERNAL and passed over.
 """
 
 from bisect import bisect_left, bisect_right
@@ -111,7 +110,6 @@ class History:
         return None
 
     def _place(self, aid: Aid) -> bool:
-        """Insert an aid into the order and rewind to it; False where it is known."""
         self.quiet = None
         k = bisect_left(self._orders, aid.order)
         if k < len(self._orders) and self._orders[k] == aid.order:
@@ -128,8 +126,8 @@ class History:
     def advance(self, to_ns: int, *, coast: bool = False) -> Tracker:
         """The tracker at `to_ns`, for publication: without late measurements until they are worked in.
 
-        coast: also beyond the newest IMU sample, with a slice of the waiting measurements; the tracker then stands at the last of
-        them, since the IMU's split of the time beyond is unknown. A late IMU sample takes it back.
+        coast: beyond the newest IMU sample, with a slice of the waiting measurements, to the last of them; a late IMU sample
+        takes it back.
         """
         self.quiet = None
         if self._redo_from_ns is not None and self._ahead is None:
@@ -226,7 +224,6 @@ class History:
         entry.decision = decision
 
     def _go_through(self, to_ns: int, most: int | None = None) -> None:
-        """Move the tracker to `to_ns` through at most `most` measurements, as far as IMU samples reach."""
         if self._next == len(self._orders) or self._take(to_ns, most):  # nearly every call there is none
             self._propagate(min(to_ns, self.samples.newest_ns))
         if self._since_checkpoint >= _CHECKPOINT_SAMPLES and not self._waiting(
@@ -253,10 +250,7 @@ class History:
         return is_all
 
     def _process(self, entry: Entry) -> bool:
-        """Process an entry.
-
-        False: it raised or the state is not finite; it is marked, and the tracker is the checkpoint's.
-        """
+        """False: it raised or the state is not finite; it is marked, and the tracker is the checkpoint's."""
         was_sound = self.tracker.is_sound
         try:
             decision = self.tracker.process(entry.aid, self.samples)

@@ -2,8 +2,8 @@
 
     S = H P H^T + R,  K = P H^T S^-1,  dx = K nu,  P <- (I - K H) P (I - K H)^T + K R K^T       (Joseph form)
 
-The filter's own state is the error, which is zero before every update, so nu is the whole residual. This is the only file that
-imports filterpy: its `update` broadcasts a column into a matrix without a word, has no gate, and keeps P only nearly symmetric.
+State = error, zero before every update. Only this file imports filterpy, whose `update` broadcasts silently, has no gate, and
+keeps P only nearly symmetric.
 """
 
 import numpy as np

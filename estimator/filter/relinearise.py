@@ -2,9 +2,8 @@
 
     d_k+1 = c_k + Phi_k d_k + w_k,   c_k = f(x_k) (-) x_k+1,   d_0 ~ N(x_prior (-) x_0, P_prior),   nu_k = H_k d_k + v_k
 
-d_k = x_true,k (-) x_k; the trajectory moves by E[d_k | all nu] until its end stays: Gauss-Newton (Bell 1994). The prior is that
-of the first run: nothing counts twice. Estimated errors s of air data keep what is known of them given the state; old x, P, new
-x^, P^:
+d_k = x_true,k (-) x_k; the trajectory moves by E[d_k | all nu] until its end stays: Gauss-Newton (Bell 1994), with the first
+run's prior. Estimated errors s of air data, from old x, P to new x^, P^:
 
     s^ = s + C (x^ (-) x),   P^_sx = C P^_xx,   P^_ss = P_ss - C P_xs + C P^_xx C^T,   C = P_sx P_xx^-1
 """
@@ -171,7 +170,6 @@ def _distance2(end: Eskf, x: Array) -> float:
 
 
 def _first_path(stretch: Stretch, found: Eskf, samples: ImuBuffer) -> list[Array]:
-    """Trajectory of the IMU alone with the biases of `found`, ending in its attitude."""
     start = stretch.x.copy()
     start[X.BG], start[X.BA] = found.x[X.BG], found.x[X.BA]
     ended = _moved(stretch.t_ns, start, found.t_ns, samples, found.constants)

@@ -4,8 +4,8 @@
     x_k|N = x_k|k (+) C_k (x_k+1|N (-) x_k+1|k)
     P_k|N = P_k|k + C_k (P_k+1|N - P_k+1|k) C_k^T                                      (Rauch, Tung, Striebel 1965)
 
-Segments end at the alignment, at IMU gaps and where a hypothesis doubts the filter. Considered errors are left out of the gain:
-the covariance may be too small while fixes share one.
+Segments end at the alignment, at IMU gaps, at doubts. The gain omits considered errors: the covariance may be too small while
+fixes share one.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence

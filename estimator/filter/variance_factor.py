@@ -2,9 +2,8 @@
 
     r_k = nu^T S^-1 nu / m_50(m),   f_k = max(median(r_k-6 ... r_k), 1 + (f_k-1 - 1) exp(-dt / tau))
 
-m_50(m): median of chi-square with m degrees of freedom. Covariances become f P and f S; K does not depend on f. After 20 usual
-readings a ratio beyond noise is a false fix and does not count. f >= 1, published it lasts four times as long. Of several sources
-the least median counts: an excess of one is left to the hypotheses.
+m_50(m): median of chi-square, m degrees of freedom. Covariances become f P and f S; K is the same. After 20 usual readings a
+ratio beyond noise does not count. f >= 1; published, it lasts four times as long. Of several sources the least median counts.
 """
 
 import math

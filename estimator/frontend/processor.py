@@ -28,8 +28,6 @@ _CAMERAS_HZ: Final = 1.0  # again and again: who comes later, and a part of a ro
 
 
 class _Look(NamedTuple):
-    """The last observation and its identifications."""
-
     request: VisionRequest
     left: Pixels | None
     right: Pixels | None

@@ -57,7 +57,6 @@ class ImageReplay(Repeat):
         return record.topic in _ANSWERS or (record.topic == STATIC_TOPIC and is_own_static(record.data))
 
     def _keep(self, record: Record) -> None:
-        """Answers wait until needed, when all their images have been read."""
         self._asked.append(decode_vision_request(record.data, record.log_time_ns))
 
     def _ask(self, pair: Pair, arrived_ns: int) -> Asked | None:

@@ -4,7 +4,7 @@
     caution      not that, but at a hundred times the risk
     do not use   neither, or there is no estimate
 
-A worse state holds at once, a better one after 2 s within nine tenths of the limits.
+Worse at once; better after 2 s within nine tenths of the limits.
 """
 
 from typing import Final, NamedTuple

@@ -152,7 +152,6 @@ def _without(
 
 
 def _is_confirmed(member: Hypothesis, topic: str, now: Snapshot) -> bool:
-    """Whether another source was compared with it since its start, as the leading one of its receiver."""
     others = (seen for other, seen in now.positions.items() if other != topic and seen.kind != GNSS)
     return any(seen.t_ns >= member.fused_ns for seen in others)
 
@@ -173,7 +172,6 @@ def _t2(f: Fault) -> float:
 
 
 def _sigmas(P: Array) -> tuple[float, float]:
-    """Largest horizontal and vertical sigma of a covariance (3, 3)."""
     (a, b, _), (_, c, _), (_, _, v) = P.tolist()
     largest = 0.5 * (a + c) + math.hypot(0.5 * (a - c), b)
     return math.sqrt(max(largest, 0.0)), math.sqrt(max(v, 0.0))

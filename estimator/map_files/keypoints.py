@@ -51,7 +51,6 @@ def _read(file: Path, key: str, image: GroundImage) -> tuple[Array, Descriptors]
 
 
 def _write(file: Path, key: str, px: Array, descriptors: Descriptors) -> None:
-    """Atomic write: another process may read it."""
     part = file.with_name(f"{file.name}.{os.getpid()}")
     try:
         with part.open("wb") as stream:

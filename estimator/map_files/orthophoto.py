@@ -88,7 +88,6 @@ def georeference(path: Path, epsg: int = 0) -> tuple[Array, int]:
 
 
 def _decode(path: Path, flags: int) -> cv2.typing.MatLike:
-    """Decode from disk, without the compressed file in memory. Raises OSError."""
     header = image_header_of_file(path)
     reason = too_large(header, path.stat().st_size, _MOST_PIXELS) if header else _NO_IMAGE
     if reason:
@@ -183,7 +182,6 @@ def _tiff_affine(tags: dict[int, tuple[float, ...]]) -> Array:
 
 
 def _prj(path: Path) -> int:
-    """EPSG code of a .prj (WKT): its own, or WGS 84 or its UTM by name; 0: none."""
     try:
         text = content(path.with_suffix(".prj"), PIPE_BYTES).decode(errors="replace")
     except OSError:

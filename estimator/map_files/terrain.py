@@ -2,7 +2,7 @@
 
     h_ellipsoid(lat, lon) = bilinear(tile) + N(lat, lon)          N: geoid, where the model's heights are above the sea
 
-SRTM: big-endian int16, n x n points of a degree from its north-west corner, named after its south-west corner (USGS).
+SRTM: big-endian int16, from the north-west corner, named after the south-west one (USGS).
 """
 
 import math

@@ -49,7 +49,6 @@ class Flight:
         return (1 if self.cameras.one_camera else 2) * len(self.t_ns)
 
     def __iter__(self) -> Iterator[tuple[int, Encoded]]:
-        """(arrival, message): left, right, left, ...; of one camera left, left, ..."""
         delay_ns = round(self.cameras.delay_s * 1e9)
         with pool(None, partial(_begin, self)) as drawing:
             for t_ns, pair in zip(self.t_ns.tolist(), drawing.map(_draw, range(len(self.t_ns)), chunksize=_CHUNK), strict=True):
@@ -139,7 +138,6 @@ def _rig(cameras: Cameras) -> StereoRig:
 
 
 def _pose(truth: Truth, t_ns: int) -> tuple[Array, Array, Array, Array]:
-    """p_n, R_nb, v_n, omega_b at t_ns."""
     k = int(np.clip(np.searchsorted(truth.t_ns, t_ns, side="right") - 1, 0, len(truth.t_ns) - 1))
     dt = (t_ns - int(truth.t_ns[k])) * 1e-9
     turn = so3.matrix(so3.quat_exp(truth.omega_b[k] * dt))

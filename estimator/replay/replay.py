@@ -138,7 +138,6 @@ def _kind(attachment: Attachment) -> str:
 
 
 def _is_own_output(topic: str, schema: str, data: bytes) -> bool:
-    """Whether a message is an earlier output of ours; of /tf only map -> base_link."""
     if topic == TF_TOPIC and schema == schemas.TF:
         return is_own_transform(data)
     return topic.startswith(OWN_PREFIX) and topic not in OWN_INPUTS

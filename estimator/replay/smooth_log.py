@@ -115,7 +115,6 @@ def of_one_imu(messages: list[Input], config: FusionConfig, tell: Callable[[floa
 
 
 def _arrivals(smoothed: Smoothed, messages: list[Input]) -> list[int]:
-    """Arrival of the first IMU sample not older than each node, never decreasing."""
     imu = sorted((m.t_ns, m.arrived_ns) for m in messages if isinstance(m, ImuSample))
     t_ns, arrived_ns = np.array(imu, np.int64).reshape(-1, 2).T
     rows = np.searchsorted(t_ns, smoothed.t_ns)

@@ -132,7 +132,6 @@ class Daemon:
         return message
 
     def _on_our_clock(self, arrival: Arrival) -> Arrival:
-        """The message with its stamp on our clock; of an unknown clock, moved to a topic that feeds nothing."""
         topic, _, data, arrived_ns, _ = arrival
         stamp_ns = stamp_of(data)
         if stamp_ns is None:

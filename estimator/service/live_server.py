@@ -87,8 +87,6 @@ class LiveServer:
 
 
 class _Welcome:
-    """Foxglove's ServerListener: subscriptions only."""
-
     def __init__(self, subscribed: Callable[[str], None]) -> None:
         self._subscribed = subscribed
 

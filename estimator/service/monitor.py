@@ -272,10 +272,9 @@ def _metres(given: str | None) -> str:
 
 
 class _Table(Table):
-    """A table of plain text: peers' strings are not markup."""
+    """Peers' strings are not markup."""
 
     def add_row(self, *cells: RenderableType | None, **how: Any) -> None:
-        """As of any table."""
         super().add_row(*(Text(cell) if isinstance(cell, str) else cell for cell in cells), **how)
 
 

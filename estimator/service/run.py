@@ -259,15 +259,12 @@ def _serve(bus: ZenohBus, status: Status, attachments: list[Attachment]) -> None
 
 
 class _NoLog:
-    """The Log when nothing is recorded."""
-
     def put_input(self, *_: object) -> None:
         """Keep nothing."""
 
     put_output = put_image = put_input
 
     def report(self) -> dict[str, Any]:
-        """For the status."""
         return {"state": "off"}
 
 

@@ -64,5 +64,4 @@ def height_m(pressure_pa: float) -> float:
 
 
 def _slow_jacobian(x: Array) -> Array:
-    """Of (s_0, s_1), (1, 2)."""
     return np.array([[1.0, -x[X.P][2]]])

@@ -3,8 +3,8 @@
     z = |b - a| + s_0 + n,   a = p + R_nb l
     (d^T B d) / 2,   B = (I - u u^T) / |a - b|,   E[(d^T B d)^2] = (tr BC + m^T B m)^2 + 2 tr(BCBC) + 4 m^T B C B m
 
-b: beacon; l: antenna in the body; s_0: for slow_s (considered). The second line: effect of an error d ~ N(m, C) beyond the
-gradient u = (a - b) / |a - b|; it repeats across the line, so it counts _SAME times.
+b: beacon; l: antenna in the body; s_0: considered, for slow_s. Second line: error d ~ N(m, C) beyond the gradient u = (a - b) /
+|a - b|; repeated, it counts _SAME times.
 """
 
 import re
@@ -46,7 +46,6 @@ class BeaconRange(Curved):
         return _FIRST
 
     def _line(self, x: Array) -> tuple[float, Array]:
-        """Distance and u (3,)."""
         off = x[X.P] + so3.matrix(x[X.Q]) @ self.lever_b - self.beacon_n
         distance = max(float(np.linalg.norm(off)), _NEAREST_M)
         return distance, off / distance

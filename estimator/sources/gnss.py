@@ -141,5 +141,4 @@ def velocity_aid(velocity: GnssVelocity, config: GnssConfig) -> Aid | Refusal:
 
 @lru_cache(maxsize=64)
 def _slow(block: str, sigma: float, tau_s: float) -> tuple[SlowError, ...]:
-    """Horizontally sigma, vertically twice that; none where it is 0."""
     return (SlowError(block, np.diag([sigma**2, sigma**2, 4.0 * sigma**2]), tau_s),) if sigma else ()

@@ -6,7 +6,7 @@ Considered errors: h_b of iron on the vehicle, e_0 of the place; tilt errors are
 
     e = e_0 - (d azimuth / d m_b) h_b
 
-A reading of unearthly strength or inclination is refused.
+Impossible strength or inclination is refused.
 """
 
 import math

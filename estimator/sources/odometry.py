@@ -2,8 +2,8 @@
 
     dp = (1 + s) R_0^T (p_1 - p_0) + |dp| l + R_0^T d dt + v_p,   dR = R_0^T R_1 exp(v_theta)
 
-s: scale, estimated; l: considered, lasting lasting_s; d: drift; v: white. Poses in an own frame become increments in the tracker,
-in order of validity, without their covariance (of all their past).
+s: scale, estimated; l: considered, for lasting_s; d: drift; v: white. Poses become increments in the tracker, by validity,
+without their covariance.
 """
 
 import math
@@ -225,7 +225,6 @@ def _given(covariance: Array) -> _Rows:
 
 
 def _sigmas(config: OdometryConfig, length_m: float) -> Array:
-    """White sigma of an increment of this length, (6,), m and rad."""
     position = math.hypot(config.position_sigma_m, config.position_share * length_m)
     return np.repeat((position, math.radians(config.attitude_sigma_deg)), _XYZ)
 
@@ -265,8 +264,6 @@ def widened(
     sigma^2 = tr C_p; a, b: smallest and largest recent sigma (spread_m; returned updated):
 
         C <- f C,   f = (b / sigma)^2,   J_l J_l^T <- J_l J_l^T + f C  where b > 3 a
-
-    A slowly moving part of the scene spoils all steps alike, and not every step shows it.
     """
     sigma_m = math.sqrt(float(np.trace(reported[:_XYZ, :_XYZ])))
     least_m, most_m = min(spread_m[0], sigma_m), max(spread_m[1], sigma_m)

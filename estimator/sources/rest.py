@@ -1,11 +1,10 @@
 """Rest: zero velocity and rotation, heading as at its start.
 
-The IMU shows it: no change for 3 s. The estimate confirms it, or a smooth road or calm air would pass: velocity known, and zero
-within the gate.
+Shown by the IMU (no change for 3 s), confirmed by a known velocity, zero within the gate.
 
     0 = v + n_v,   w_mean = b_g + R_nb^T w_ie + n_w,   0 = psi - psi_0 + n_psi
 
-psi_0, the initial heading, is estimated with the errors of that time.
+psi_0: initial heading, estimated.
 """
 
 import math

@@ -2,8 +2,8 @@
 
     z_b = (1 + k) (I + [m]x) (R_nb^T v + w x l) + n,   w = gyro - b_g
 
-l: IMU to sensor; scale error k and misalignment m last (considered). Missing components are zero with across_sigma_m_s, where
-given (non-holonomic constraint).
+l: IMU to sensor; scale k and misalignment m: considered. Missing components: zero with across_sigma_m_s, where given
+(non-holonomic constraint).
 """
 
 import math

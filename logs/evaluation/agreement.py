@@ -36,7 +36,6 @@ def contradiction(collected: Collected) -> str:
 
 
 def _distances(trajectory: Trajectory, t_ns: Times, p: Array) -> tuple[Array, Mask]:
-    """Horizontal, (n,) m, nan where the trajectory does not cover a stamp, and where it does."""
     distance = np.full(len(t_ns), np.nan)
     if not len(trajectory):
         return distance, np.zeros(len(t_ns), bool)

@@ -95,8 +95,6 @@ class NoEstimateError(LogError):
 
 
 class _Sheaf:
-    """Messages of a topic as bytes with arrivals, thinned by powers of two to `most`."""
-
     __slots__ = ("_most", "arrived_ns", "data", "every", "schema", "seen", "unreadable")
 
     def __init__(self, schema: str, most: int | None = None) -> None:
@@ -107,7 +105,6 @@ class _Sheaf:
         self.every, self.seen, self._most = 1, 0, most
 
     def add(self, data: bytes, arrived_ns: int) -> None:
-        """The next message."""
         if self.seen % self.every == 0:
             self.data.append(data)
             self.arrived_ns.append(arrived_ns)
@@ -117,7 +114,6 @@ class _Sheaf:
             del self.data[1::2], self.arrived_ns[1::2]
 
     def parsed(self, parse: Callable[[bytes], T]) -> Iterator[tuple[int, T]]:
-        """Arrival and content of each message; malformed ones are counted."""
         self.unreadable = 0
         for arrived_ns, data in zip(self.arrived_ns, self.data, strict=True):
             try:

@@ -121,9 +121,8 @@ def find_outages(
 ) -> dict[str, Outages]:
     """Spans without absolute information, of all sources ("all") and each topic.
 
-    A wait runs from the validity of the newest absolute measurement (fused or aligning) to the arrival of a newer one; an outage
-    is longer than 3 x the median wait and 2 s, or longer_than_s. "all": every source is in one. Without AidStatus: by Health's
-    age. The estimate's start counts as information.
+    Wait: from the validity of the newest absolute measurement (fused or aligning; the start counts) to the arrival of a newer
+    one. Outage: longer than 3 x the median wait and 2 s, or longer_than_s. Without AidStatus: by Health's age.
     """
     aids, health = tuple(aids), tuple(health)
     start, end = int(estimate.t_ns[0]), int(estimate.t_ns[-1])

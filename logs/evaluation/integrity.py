@@ -5,7 +5,7 @@
     PL < e <= AL                                        misleading        unavailable
     AL < e                                              hazardous         unavailable
 
-A level holds until the next one, for a second at most; the largest error of that time counts.
+A level holds until the next, at most a second; the largest error then counts.
 """
 
 from collections import Counter

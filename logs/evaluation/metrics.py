@@ -2,8 +2,7 @@
 
 Positions (n, 3) m, quaternions (n, 4) wxyz body -> map, errors true minus estimated, covariances (n, k, k); nan without rows.
 
-Umeyama 1991 (TPAMI 13-4); Sturm et al. 2012 (IROS); Zhang & Scaramuzza 2018 (IROS); Bar-Shalom, Li & Kirubarajan 2001 (section
-5.4); Geyer 1992 (Statistical Science 7-4).
+Umeyama 1991; Sturm et al. 2012; Zhang & Scaramuzza 2018; Bar-Shalom, Li & Kirubarajan 2001 (5.4); Geyer 1992.
 """
 
 from dataclasses import dataclass
@@ -165,7 +164,7 @@ def nees(error: Array, covariance: Array) -> Array:
 
 
 def _definite(covariance: Array) -> Mask:
-    """Which of (n, k, k) symmetric matrices are positive definite, (n,); of all at once Cholesky says it fastest."""
+    """Which of (n, k, k) symmetric matrices are positive definite, (n,)."""
     try:
         np.linalg.cholesky(covariance)
     except np.linalg.LinAlgError:

@@ -1,6 +1,6 @@
 """A trajectory file for other programs, format by name.
 
-    csv       all columns, a header line, empty cells where a value is not known        spreadsheets, pandas, R
+    csv       all columns, a header line, empty: unknown
     parquet   the same columns with their types (needs pyarrow)                         pandas, DuckDB, Spark
     tum       t x y z qx qy qz qw; s and m, map ENU, body FLU                           evo, rpg_trajectory_evaluation
     kml       a line for each stretch of one mode, coloured by mode                     Google Earth, QGIS

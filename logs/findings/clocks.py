@@ -40,8 +40,6 @@ _KNOWN_STEPS: Final = (  # s, tolerance, name
 
 
 class _Line(NamedTuple):
-    """offset = a + slope * arrival; error: sigma of the slope; scatter: robust."""
-
     slope: float
     error: float
     scatter: float
@@ -203,7 +201,6 @@ def _offset(stream: Stream) -> Array:
 
 
 def _spread(x: Array) -> float:
-    """1.48 x median absolute deviation, (n,)."""
     return 1.48 * float(np.median(np.abs(x - np.median(x))))
 
 

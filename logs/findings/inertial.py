@@ -136,7 +136,6 @@ def frozen_axis(imu: Stream) -> Cause | None:
 
 
 def _turns(field: Array) -> bool:
-    """Whether a component (n, 3) of a field changes by a tenth of its magnitude."""
     return float(np.ptp(field, axis=0).max()) > 0.1 * float(np.median(np.linalg.norm(field, axis=1)))
 
 

@@ -14,8 +14,6 @@ _MOST: Final = 400_000  # messages in a stretch
 
 
 class _Column:
-    """One topic's part of a stretch."""
-
     def __init__(self, kind: str, width: int) -> None:
         self.kind, self.width = kind, width
         self.t_ns, self.arrived_ns, self.values = array("q"), array("q"), array("d")
@@ -26,12 +24,10 @@ class _Column:
         self.values.extend(values)
 
     def stream(self, start_ns: int) -> Stream:
-        """Times since start_ns."""
         t_s, arrived_s = ((np.array(ns) - start_ns) * 1e-9 for ns in (self.t_ns, self.arrived_ns))
         return Stream(self.kind, t_s, arrived_s, np.array(self.values).reshape(-1, self.width))
 
     def forget(self, before_ns: int) -> None:
-        """Forget earlier arrivals."""
         k = int(np.searchsorted(np.array(self.arrived_ns), before_ns))
         del self.t_ns[:k], self.arrived_ns[:k], self.values[: k * self.width]
 

@@ -4,8 +4,8 @@
     ulog       PX4                               dataflash  ArduPilot, on board                    tlog   MAVLink, on the ground
     rosbag     ROS 2 and ROS 1 bags, copied message by message
 
-Each importer but rosbag is a module with `read(source, options, progress) -> Recording`, loaded on demand. May import logs.store,
-logs.wire and models.
+An importer is a module with `read(source, options, progress) -> Recording`, but rosbag. May import logs.store, logs.wire and
+models.
 """
 
 from collections.abc import Callable, Iterator

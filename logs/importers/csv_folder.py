@@ -66,15 +66,12 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
 
 
 class _Reader:
-    """The folder's tables, with their notes collected."""
-
     def __init__(self, folder: Path, t0_ns: object, notes: list[str]) -> None:
         self.folder = folder
         self.notes = notes
         self._t0_ns = t0_ns if isinstance(t0_ns, int) else None
 
     def table(self, *stems: str) -> Table | None:
-        """The first existing table of these files."""
         path = self._path(*stems)
         if path is None:
             return None
@@ -83,7 +80,6 @@ class _Reader:
         return table
 
     def has(self, stem: str) -> bool:
-        """Whether the file exists."""
         return self._path(stem) is not None
 
     def _path(self, *stems: str) -> Path | None:
@@ -147,7 +143,6 @@ def _gnss(reader: _Reader) -> list[Stream]:
 
 
 def _ned(table: Table, quantity: Quantity) -> Array | None:
-    """Columns n, e, d, or n, e, u negated."""
     if table.find(quantity.names("u")) is None:
         return table.vector(quantity, "ned")
     neu = table.vector(quantity, "neu")

@@ -135,8 +135,6 @@ def _is_damaged(source: Path, lengths: Mapping[int, int]) -> bool:
 
 
 class _Layout:
-    """Fields of one message in this version of ArduPilot: stamp, instance, wanted ones."""
-
     def __init__(self, source: Path, message: Any) -> None:
         there = set(message.get_fieldnames())
         stamp = next((field for field in _STAMPS if field in there), None)
@@ -149,12 +147,10 @@ class _Layout:
         self._present = [field in there for field in self.fields]
 
     def key(self, message: Any) -> str:
-        """The message's name, k + 1 appended for instance k > 0."""
         instance = getattr(message, self._instance) if self._instance else 0
         return f"{self.name}{instance + 1}" if instance else self.name
 
     def row(self, message: Any) -> list[float]:
-        """Stamp [us since boot] and fields; nan: missing in this version."""
         fields = (getattr(message, f) if there else np.nan for f, there in zip(self.fields, self._present, strict=True))
         return [getattr(message, self._stamp) * self._unit_us, *fields]
 

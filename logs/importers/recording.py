@@ -99,7 +99,6 @@ class Stream:
         return replace(self, t_ns=self.t_ns[rows], arrived_ns=self.arrived_ns[rows], columns=tuple(c[rows] for c in self.columns))
 
     def __iter__(self) -> Iterator[Message]:
-        """In order of arrival, stable."""
         order = np.argsort(self.arrived_ns, kind="stable")
         for start in range(0, len(order), _BLOCK):
             rows = order[start : start + _BLOCK]

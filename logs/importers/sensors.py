@@ -125,7 +125,6 @@ def _offset(origin: Origin, lla: Array, p_n: Array) -> Array:
 
 
 def _position_at(t_ns: Times, truth: Stream) -> Array:
-    """p_n (n, 3) of the truth at t_ns; nan in gaps."""
     p_n = np.full((len(t_ns), 3), np.nan)
     if len(truth) < 2:
         return p_n

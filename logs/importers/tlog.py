@@ -254,7 +254,7 @@ def _usable(tables: Mapping[str, Table], autopilot: int) -> list[str]:
 
 
 def _simulated(tables: Mapping[str, Table]) -> tuple[Stream, Vec3] | None:
-    """Truth and origin of a simulation; SIM_STATE is stamped by arrival."""
+    """SIM_STATE is stamped by arrival."""
     table = tables.get("SIM_STATE")
     if table is None:
         return None

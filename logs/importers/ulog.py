@@ -108,7 +108,6 @@ class _Finite(io.BufferedReader):
         self._furthest, self._standing, self._patience = 0, 0, 1000 + 2 * path.stat().st_size
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """As any file, until no progress for too long. Raises LogError."""
         self._standing += 1
         if (place := self.tell()) > self._furthest:
             self._furthest, self._standing = place, 0

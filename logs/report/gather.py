@@ -249,7 +249,6 @@ def sigmas(estimate: Trajectory) -> Array:
 
 
 def _matrices(q_wxyz: Array) -> Array:
-    """R (n, 3, 3) of unit quaternions; nan stays."""
     w, x, y, z = q_wxyz.T
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

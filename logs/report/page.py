@@ -84,7 +84,6 @@ class _Sheet:
         self.charts: dict[str, Chart] = {}
 
     def add(self, charts: dict[str, Chart], columns: str = "") -> str:
-        """Chart places on the page."""
         self.charts |= charts
         figures = "".join(f'<figure data-chart="{text(name)}"></figure>' for name in charts)
         return f'<div class="charts {columns}">{figures}</div>' if figures else ""

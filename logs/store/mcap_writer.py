@@ -131,7 +131,7 @@ class McapWriter:
             self._close_chunk()
 
     def _close_chunk(self) -> None:
-        """Compress and write the open chunk with its index; the next begins empty in any case."""
+        """The next begins empty in any case."""
         if not self._entries:
             return
         block, entries = bytes(self._block), self._entries

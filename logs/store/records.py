@@ -198,7 +198,6 @@ class RecordFile:
             return []
 
     def _block(self, block: bytes) -> list[RawMessage]:
-        """Messages of a run of records; others are noted. Raises ValueError."""
         messages: list[RawMessage] = []
         at, end = 0, len(block)
         frame, message, known = _FRAME.unpack_from, _MESSAGE.unpack_from, self.channels
@@ -239,7 +238,7 @@ class RecordFile:
                 pass
 
     def _skip(self, start: int) -> None:
-        """Count damage; definitions lost with it come from the summary."""
+        """Definitions lost with it come from the summary."""
         self._whole = start + 1
         self.skipped_chunks += 1
         if self.skipped_chunks == 1:

@@ -259,7 +259,6 @@ def _odometry_pose(topic: str, message: Any, arrived_ns: int) -> OdometryPose:
 
 
 def _odometry_motion(message: Any) -> tuple[int, Vec3, Quat, Array]:
-    """t0_ns, dp_b, dq_wxyz and the (6, 6) covariance."""
     q = message.motion.pose.orientation
     covariance = axes.body_covariance(message.motion.covariance.reshape(6, 6))
     dq_wxyz = axes.body_attitude((q.w, q.x, q.y, q.z))
@@ -283,7 +282,6 @@ def _odometry_delta(topic: str, message: Any, arrived_ns: int) -> OdometryDelta:
 
 
 def _attitude(topic: str, message: Any, arrived_ns: int) -> AttitudePrior:
-    """Of a pose the rotation; its position is not examined."""
     _, q_nb_wxyz, covariance = _pose(message.pose)
     return AttitudePrior(_t_ns(message.header.stamp), arrived_ns, q_nb_wxyz, covariance[3:, 3:], topic)
 
@@ -334,7 +332,6 @@ def _checkpoint(topic: str, message: Any, arrived_ns: int) -> Checkpoint:
 
 
 def _pose(message: Any) -> tuple[Vec3, Quat, Array]:
-    """p_n, q_nb_wxyz and covariance (6, 6) along n of a PoseWithCovariance in map."""
     q = message.pose.orientation
     covariance = axes.world_covariance(message.covariance.reshape(6, 6))
     return axes.world(_vector(message.pose.position)), axes.attitude((q.w, q.x, q.y, q.z)), covariance

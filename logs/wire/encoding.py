@@ -395,7 +395,6 @@ def _time(t_ns: int) -> Any:
 
 
 def _new(name: str, /, **fields: Any) -> Any:
-    """A message object of rosbags' run-time classes."""
     make: Any = STORE.types[name]
     return make(**fields)
 

@@ -47,7 +47,6 @@ def _pieces(line_m: Array) -> Iterator[Array]:
 
 
 def _outline(line_m: Array, width_m: float) -> Array:
-    """Both sides (2 N, 2) of a line (N, 2), one there, one back."""
     way = np.diff(line_m, axis=0)
     normal = way[:, ::-1] * np.array([-1.0, 1.0]) / np.linalg.norm(way, axis=1, keepdims=True)
     before, after = np.concatenate((normal[:1], normal)), np.concatenate((normal, normal[-1:]))

@@ -50,8 +50,6 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 @dataclass(frozen=True, slots=True)
 class _Moment:
-    """A fault's context: seconds since its start, n's origin, random numbers."""
-
     since_s: float
     origin: Origin | None
     rng: np.random.Generator

@@ -125,7 +125,6 @@ def measure(imu: Imu, motion: Motion, origin: Origin | None, dt: float, rng: np.
 
 
 def _walk(turn_on: float, walk: float, n: int, dt: float, rng: np.random.Generator) -> Array:
-    """b_0 ~ N(0, turn_on^2), then a random walk with PSD walk^2, (n, 3)."""
     steps = walk * math.sqrt(dt) * rng.standard_normal((n, 3))
     steps[0] = turn_on * rng.standard_normal(3)
     return np.cumsum(steps, axis=0)

@@ -1,4 +1,4 @@
-"""Bytes from outside: bounds on unpacking and decoding, one boundary for unreadable files.
+"""Bytes from outside: bounds and boundary.
 
     limits          the bounds, relative to the compressed size and absolute
     file            a file that a person names

@@ -4,7 +4,7 @@
              the region's own pixels and a rim, left to right and back
     fine     in cells, by Gauss-Newton on  I_r(u - d, v) = g I_l(u, v) + o,  with the variance from the remainder
 
-Images are rectified and grey, uint8 or uint16.
+Rectified, grey, uint8 or uint16.
 """
 
 from collections.abc import Sequence
@@ -83,8 +83,6 @@ def disparity_offset(rig: StereoRig) -> float:
 
 
 class _Pyramid:
-    """Pyramids of both images and their edges, on demand."""
-
     def __init__(self, left: Image, right: Image) -> None:
         self._grey = [(np.ascontiguousarray(left), np.ascontiguousarray(right))]
         self._edges: dict[int, tuple[NDArray[np.float32], NDArray[np.float32]]] = {}
@@ -174,7 +172,7 @@ def _to_the_pixel(pair: _Pyramid, rim: Pixels, disparity: int, search: Search) -
 def _fine(
     pair: _Pyramid, region: Region, rig: StereoRig, search: Search, start: tuple[int, int, float, float]
 ) -> Match | Unmatched:
-    """From the region's inside where textured, else with its edges, which the ground moves."""
+    """Inside where textured, else with its edges, which the ground moves."""
     inside = cv2.erode(region.mask.view(np.uint8), _SQUARE, borderType=cv2.BORDER_CONSTANT, borderValue=0).view(np.bool_)
     match = _cells(pair, region, rig, search, start, (inside, 0, 0.0))
     if isinstance(match, Match) and match.plane.covariance[0, 0] < search.rim_sigma_px**2:
@@ -191,7 +189,7 @@ def _cells(
     start: tuple[int, int, float, float],
     where: tuple[NDArray[np.bool_], int, float],
 ) -> Match | Unmatched:
-    """Cells and the plane through them, twice: the second time along the first plane."""
+    """Twice: the second time along the first plane."""
     (disparity, vertical, score, gain), (mask, rim, blur) = start, where
     left, right = pair.grey(0)
     corner = (region.bbox[0] - rim, region.bbox[1] - rim)

@@ -77,7 +77,6 @@ def pair_reason(matches: Sequence[Match | Unmatched], residual: Residual | None)
 
 
 def _median(found: Array) -> Residual:
-    """found (N, 2): residual, sigma; the larger sigma of claims and scatter."""
     order = np.argsort(found[:, 0])
     cumulated = np.cumsum(1.0 / found[order, 1] ** 2)
     median = float(found[order[int(np.searchsorted(cumulated, 0.5 * cumulated[-1]))], 0])

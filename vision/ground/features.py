@@ -177,7 +177,7 @@ def _keypoints(image: Image, most: int) -> tuple[Array, Descriptors]:
 
 
 def _of_large(image: Image, most: int) -> tuple[Array, Descriptors]:
-    """_keypoints in tiles (SIFT needs 200 bytes a pixel); a keypoint counts in its own tile."""
+    """In tiles: SIFT needs 200 bytes a pixel."""
     height, width = image.shape
     if max(height, width) <= _TILE_PX:
         return _keypoints(image, most)

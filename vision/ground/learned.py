@@ -129,7 +129,6 @@ def recognise_learned(
 def _views(
     rig: StereoRig, image: Image, pose: tuple[Array, Array], map_image: GroundImage, sizes: tuple[float, float, float]
 ) -> tuple[Float, Float]:
-    """Both inputs of the extractor: the camera's image, and the map's from a pose; sizes: wide, unit_px, camera_m."""
     wide, unit_px, camera_m = sizes
     every = _to_camera(rig, np.stack(np.meshgrid(np.arange(float(_COLUMNS)), np.arange(float(_ROWS))), axis=-1).reshape(-1, 2))
     view = sample(pyramid(image), every.reshape(_ROWS, _COLUMNS, 2), unit_px)

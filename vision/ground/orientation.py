@@ -1,8 +1,8 @@
-"""Agreement of edge directions: independent evidence for a position found by edge positions.
+"""Agreement of edge directions: evidence independent of edge positions.
 
     o = s (cos 2 theta, sin 2 theta),   rho(d) = sum o_t o_i(d) / sqrt(sum o_t^2 sum o_i(d)^2),   o less its mean
 
-s, theta: structure and direction of the gradient. The subtracted mean removes a common direction (streets).
+s, theta: of the gradient. Subtracting the mean removes a common direction (streets).
 """
 
 import cv2

@@ -1,10 +1,10 @@
-"""Position by the peak of registration's search alone, where blocks do not agree (docs/vision_orthophoto.md).
+"""Position by the search's peak alone, where blocks disagree (docs/vision_orthophoto.md).
 
     C = (1 - rho^2) / rho  K^-1  c  +  (f q)^2 I,   K = -d^2 rho / d(north, east)^2
     s = m unevenness (1 - rho)^4
 
-C: of an image; s: common to all, shadows and leaning objects, m = 1 / (2 tan 15 deg). The peak must exceed the second one, zero,
-and the scatter of all positions; a lower one, or a line (ridge.py), needs other evidence (orientation.py, recognisers.py).
+C: of an image; s: common to all, shadows and leaning objects, m = 1 / (2 tan 15 deg). A low peak, or a line (ridge.py), needs
+other evidence (orientation.py, recognisers.py).
 """
 
 import math
@@ -103,7 +103,6 @@ def fit_ridge(
 
 
 def _moved(peak: Peak, map_image: GroundImage, config: PeakConfig) -> float:
-    """s [m]."""
     return config.moved * map_image.heights.unevenness_m * (1.0 - peak.correlation) ** 4
 
 

@@ -1,8 +1,8 @@
-"""Position by registration of the camera's image with an orthophoto, near the prior (docs/vision_orthophoto.md).
+"""Position by registration with an orthophoto, near the prior (docs/vision_orthophoto.md).
 
 coarse   position, heading and height within the prior where the whole is most like the map (search.py)
 blocks   shifted singly, sub-pixel, twice, then finer: map points with pixel and covariance
-pose     of these points and the prior (point_pose.py), if one position stands out and enough blocks agree
+pose     of these points and the prior (point_pose.py), if enough blocks agree
 
     C = (1 - rho^2) / rho  K^-1  a / n,   K = -d^2 rho / ds^2,   a = 2 pi s^2: pixels whose noise is one after the blur s
 """
@@ -69,8 +69,6 @@ class Registered:
 
 @dataclass(frozen=True, slots=True)
 class _Matched:
-    """Map points with pixels, blocks tried, grid step [m], and camera pixels per step."""
-
     points: Points
     tried: int
     step_m: float
@@ -150,7 +148,6 @@ def _blocks(
 
 
 def _peak(image: Float, block: Float) -> tuple[Array, Array] | None:
-    """Best fit (column, row) of a block, sub-pixel, covariance (2, 2); None without a single one."""
     rho = cv2.matchTemplate(image, block, cv2.TM_CCOEFF_NORMED)
     i, j = np.unravel_index(int(np.argmax(rho)), rho.shape)
     best = float(rho[i, j])

@@ -2,8 +2,7 @@
 
     rivals = {d: score(d) > usual + (best - usual) / ratio},   n = least eigenvector of their covariance, weights score - level
 
-n mean(rivals) is measured with the scatter across, valid at the weighted mean of the evidence: elsewhere heading or height errors
-move it.
+n mean(rivals): measured with the scatter across, valid at the weighted mean of the evidence.
 """
 
 from dataclasses import dataclass

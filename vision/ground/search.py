@@ -1,9 +1,9 @@
-"""Search for the camera image's structure on the map, within the prior: position, heading, height.
+"""Search for the image's structure on the map within the prior: position, heading, height.
 
     the camera's image as seen from straight above, by the prior's attitude and height, is shifted over the map within
     reach_sigma of the prior's covariance, turned and stretched as far as that leaves heading and height open
 
-Sobel magnitudes (thesis eq. 4.62-4.64) are compared by correlation (eq. 4.80), robust to season and light.
+Sobel magnitudes (thesis eq. 4.62-4.64), compared by correlation (eq. 4.80).
 """
 
 import math
@@ -55,8 +55,7 @@ class Peak:
     """Best position: p_n, R_nb; ratio: first to second peak; correlation: its coefficient.
 
     deviations: in sigmas of other positions; seen_n (3,): middle of the view by the prior, shown_n (2,): by the map; q: point
-    spacing, m; curvature (2, 2): -d^2 rho / d(north, east)^2 [1/m^2], None without a single maximum inside; oriented: coefficient
-    of the edges' directions; ridge: positions along a line are as good.
+    spacing, m; curvature (2, 2): -d^2 rho / d(north, east)^2 [1/m^2], or None; oriented: coefficient of edge directions.
     """
 
     p_n: Array
@@ -148,7 +147,6 @@ class _Searched:
 
     @property
     def best(self) -> tuple[int, int, int]:
-        """Turn, row and column of the highest score."""
         k, i, j = np.unravel_index(int(np.argmax(self.scores)), self.scores.shape)
         return int(k), int(i), int(j)
 
@@ -195,7 +193,7 @@ def _with_evidence(
 
 
 def _stands_out(searched: _Searched, ground: Array, prior: Prior) -> Peak | NotRegistered:
-    """Best position and how it stands out: (rho_1 - median) / (rho_2 - median)."""
+    """(rho_1 - median) / (rho_2 - median)."""
     scores, inside, grid, (k, i, j) = searched.scores, searched.inside, searched.grid, searched.best
     best, reach = float(scores[k, i, j]), len(inside) // 2
     if not best > 0.0:

@@ -4,7 +4,7 @@
     mirror:     the same, then half a turn about the line of sight, R' = exp(pi u') Z R,  u' = Z u
     step:       p' = p + l' - l,  R' = R                   l' a landmark like l
 
-The mirrored pose: Oberkampf, DeMenthon and Davis 1996. A rectangle leaves half turns, a square quarters, a round roof any turn.
+(Oberkampf, DeMenthon and Davis 1996). Rectangle: half turns; square: quarters; round roof: any turn.
 """
 
 import math
@@ -84,7 +84,7 @@ def _apart(steps: Array, least_m: float) -> Array:
 
 
 def _as_turned(one: Landmark, other: Landmark) -> bool:
-    """Whether orientations agree; sides of a nearly square one may be exchanged."""
+    """Sides of a nearly square one may be exchanged."""
     half_turn = math.pi if one.length_m > _OBLONG * one.width_m else 0.5 * math.pi
     apart = (one.orientation_rad - other.orientation_rad + 0.5 * half_turn) % half_turn - 0.5 * half_turn
     return abs(apart) < _TURNED_RAD

@@ -39,9 +39,8 @@ class Assumptions(msgspec.Struct, frozen=True):
 class Sighting:
     """A region for identification; n at the prior's attitude.
 
-    arm_n (3,): body to region; moved_n (3,): body now to then; depth_sigma: relative; covariance_n (3, 3), log_size_covariance
-    (2, 2) of (log width, log length); orientation_rad: of the length, north to east; now: in this image; partial: cut off: arm to
-    the supposed centre, sizes are lower bounds.
+    arm_n (3,): body to region; moved_n (3,): body now to then; depth_sigma: relative; log_size_covariance (2, 2): of (log width,
+    log length); orientation_rad: of the length, north to east; partial: cut off, sizes are lower bounds.
     """
 
     arm_n: Array

@@ -3,7 +3,7 @@
     f_i(h) = sum_ts w_ts f_i(t, s) / sum_ts w_ts,     w_ts = exp(-|(t, s) - (x_t, x_s)|^2_P / 2)
     prod_i f_i  exp(-(1 / M) sum_i ln (f_i / f))                    of a hypothesis without landmarks: f_i is relative
 
-x, P: a hypothesis' common errors. The search uses the highest f_i.
+x, P: a hypothesis' common errors.
 """
 
 from dataclasses import dataclass

@@ -116,7 +116,6 @@ def _likeness(sightings: list[Sighting], landmarks: Catalogue, scale: Array, sig
 
 
 def _fitted(sightings: list[Sighting], landmarks: Catalogue, scale: Array, sigma: float) -> Array:
-    """Scale within 3 sigma at which sizes agree best (M, J)."""
     size = np.array([s.size_m2 for s in sightings]).reshape(-1, 1) * scale**2
     wanted = 0.5 * np.log(landmarks.description[None, :, 0] / size)
     return np.asarray(scale * np.exp(np.clip(wanted, -3.0 * sigma, 3.0 * sigma)))
@@ -167,7 +166,6 @@ def _marginals(landmark: NDArray[np.int64], probability: Array, count: int) -> t
 def _accept(
     landmark: NDArray[np.int64], found: Hypotheses, best: NDArray[np.int64], posterior: Array, threshold: float
 ) -> tuple[NDArray[np.bool_], float, NDArray[np.bool_]]:
-    """Identified regions, probability that all are right, their hypotheses (H,); the least certain go until it suffices."""
     accepted = (posterior >= threshold) & (best != NONE)
     while True:
         agree = np.all(landmark[:, accepted] == best[accepted], axis=1)

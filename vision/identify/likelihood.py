@@ -2,7 +2,7 @@
 
     l_j - (p + r_i) = dp - [r_i]x dtheta + r_i (exp(s) - 1) + e,   log w_j - log w_i = s + e,   psi_j - psi_i = dtheta_z + e
 
-r_i: body to region at the prior, s: log scale of depth. Each landmark is an option twice: measured well, and rarely badly.
+r_i: body to region at the prior, s: log scale of depth. A landmark is two options: measured well, or badly.
 """
 
 import math
@@ -193,7 +193,6 @@ def _outer(a: Array) -> Array:
 
 
 def _excluded(y: Array, A: Array, spread: Array, prior: Array, r: Array) -> NDArray[np.bool_]:
-    """Positions (N,) that the prior excludes; spread (N, 3, 3): of the measured position."""
     linear = A[:, :, :STATES].copy()
     linear[:, :, SCALE] += A[:, :, GROWTH]
     whole = linear @ prior @ linear.transpose(0, 2, 1) + spread + 0.75 * prior[SCALE, SCALE] ** 2 * _outer(r)

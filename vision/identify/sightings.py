@@ -87,7 +87,6 @@ def _laid(outline: Array, R_nc: Array, rig: StereoRig, down_m: float) -> tuple[A
 
 
 def _on_level(region: Region, prior: Prior, rig: StereoRig, down_m: float, depth_sigma: float) -> Sighting | None:
-    """The region on the level plane down_m below rig.left; None for rays too flat."""
     p_nc, R_nc = rig.camera_pose(prior.p_n, prior.R_nb)
     slant = (rig.left.ray(region.outline) @ R_nc.T)[:, 2]
     if not np.isfinite(slant).all() or slant.min() < _SHALLOW or down_m < 1.0:
@@ -117,7 +116,6 @@ def _on_level(region: Region, prior: Prior, rig: StereoRig, down_m: float, depth
 
 
 def _resolution(arm: Array, prior: Prior, rig: StereoRig) -> tuple[float, float]:
-    """Pixel size at an arm's end [m], and relative error of a length towards the camera."""
     distance = float(np.linalg.norm(arm))
     sine = float(arm[2]) / distance
     tilt = math.sqrt(max(prior.covariance[3, 3], prior.covariance[4, 4]) + ROOF_SLOPE_RAD**2)

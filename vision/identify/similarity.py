@@ -3,7 +3,7 @@
     S' = S_measured / S_map,  W' = W_measured / W_map,  L' = L_measured / L_map,  F' = F_measured / F_map   (thesis, eq. 5.1-5.4)
     similarity = w1 S' + w2 W' + w3 L' + w4 F'                                                             (thesis, eq. 5.5)
 
-Corrected: ratios above one count inverse, weights (sum 1.0257 in the thesis) are normalised.
+Ratios above one count inverse; weights are normalised.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Rectification: corresponding points share a row, without distortion, by maps made once.
+"""Rectification: corresponding points share a row; maps made once.
 
     x_c' = R_cc' ^T x_c,   x_r' = x_c' - (b, 0, 0)     (both cameras look the same way, side by side: R_rc = I)
 
@@ -95,7 +95,6 @@ def _rows(rig: StereoRig) -> Array:
 
 
 def _common_camera(rig: StereoRig, R_from_c: Array, R_from_r: Array) -> CameraModel:
-    """A pinhole with mean focal length, both images' middles near its middle."""
     f = float(np.mean([rig.left.fx, rig.left.fy, rig.right.fx, rig.right.fy]))
     width, height = rig.left.width, rig.left.height
     middles = []

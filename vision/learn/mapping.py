@@ -4,7 +4,7 @@
     l    = C (Lambda_0 l_0 + sum S_i^-1 z_i),   C = (Lambda_0 + sum S_i^-1)^-1,   S_i = R_i + n d_i d_i^T
     cov  = C (Lambda_0 + sum S_i^-1 R_i S_i^-1) C + F F^T,    F = sum C S_i^-1 F_i
 
-F_i: pose, mounting, lens, depth (column d_i); l_0: some metres above ground. Systematic errors are not averaged.
+F_i: pose, mounting, lens, depth (column d_i); l_0: some metres above ground.
 """
 
 from collections.abc import Sequence
@@ -49,8 +49,8 @@ class MappingConfig(msgspec.Struct, frozen=True):
 class Observation:
     """A region in one image: z (3,) m in n, R (3, 3), F (3, k), depth (3,): rig's depth column.
 
-    p_nc: camera; rays (K, 3) of the outline, down 1; log_sides, log_sigma (2,) of width, length; pixel_m; ray (3, 3): information
-    of the ray without its length, 1 / m^2.
+    rays (K, 3): of the outline, down 1; log_sides, log_sigma (2,): width, length; ray (3, 3): information of the ray without its
+    length, 1 / m^2.
     """
 
     frame: int
@@ -223,7 +223,7 @@ class Mapper:
         return float(off @ np.linalg.solve(S, off) + np.sum(sides**2 / (2.0 * sigma**2))) < _quantile(self.config.gate, 5)
 
     def _associated(self, observations: Sequence[Observation]) -> list[int]:
-        """Track row per observation, -1 for none: best pairs in the gate that agree jointly."""
+        """Track row per observation, -1: none."""
         if not observations or not self.tracks:
             return [-1] * len(observations)
         gate = _quantile(self.config.gate, 4)

@@ -87,7 +87,6 @@ def _flaw(track: Track, position: Position, config: KeepConfig) -> str:
 
 
 def _landmark(name: str, track: Track, position: Position, apart: Array, ground_d: float, config: KeepConfig) -> Landmark | str:
-    """The landmark of a track, or why none; apart (3, 3): covariance not common to the map."""
     roof_d = float(position.position_n[2])
     outlines = [one.outline_at(roof_d) for one in track.observations]
     pixel_m = float(np.median([one.pixel_m for one in track.observations]))

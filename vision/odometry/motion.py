@@ -298,7 +298,6 @@ def _points_after(z0: Array, variance0: Array, system: _System, step: Array) -> 
 
 
 def _skews(x: Array) -> Array:
-    """[x]x of each row: (N, 3, 3)."""
     S = np.zeros((len(x), 3, 3))
     S[:, 0, 1], S[:, 0, 2] = -x[:, 2], x[:, 1]
     S[:, 1, 0], S[:, 1, 2] = x[:, 2], -x[:, 0]

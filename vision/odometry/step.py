@@ -268,7 +268,7 @@ class StereoOdometry:
 
 
 def _shared(px: Array, residuals: Array) -> float:
-    """Correlation of residuals (N, 2) with their nearest points' px (N, 3): shared errors do not average."""
+    """Correlation of residuals (N, 2) with their nearest points' px (N, 3)."""
     apart = np.square(px[:, None, 0] - px[:, 0]) + np.square(px[:, None, 1] - px[:, 1])
     np.fill_diagonal(apart, np.inf)
     nearest = np.argpartition(apart, _NEIGHBOURS, axis=1)[:, :_NEIGHBOURS]

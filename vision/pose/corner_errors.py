@@ -2,8 +2,7 @@
 
     offset = n^T (e_1 + e_2) / 2,   tilt = n^T (e_2 - e_1) / 2,   e ~ N(0, sigma^2 I)
 
-n: normal of an edge, e_1, e_2: errors of its corners. Both have variance sigma^2 / 2 and are independent; so are edges at a right
-angle. Shift and growth of a whole outline: MapError.
+n: normal of an edge, e_1, e_2: errors of its corners. Both: variance sigma^2 / 2, independent.
 """
 
 import numpy as np

@@ -3,7 +3,7 @@
     px_i = project(R_nc^T (X_i - p_nc)) + e_i,   e_i ~ N(0, R_i)
     dx_c = R_nc^T (-dp + [X - p]x dtheta + dX) + R_bc^T (-dt_bc + [x_b - p_bc]x dtheta_bc)
 
-Common errors (georeference, height, mounting, camera) are unit-variance unknowns. Reported without the prior.
+Common errors: unit-variance unknowns. Reported without the prior.
 """
 
 from dataclasses import dataclass
@@ -170,7 +170,6 @@ def _system(rig: StereoRig, points: Points, p_n: Array, R_nb: Array, map_sigma: 
 
 
 def _skew(x: Array) -> Array:
-    """[x]x (N, 3, 3)."""
     result = np.zeros((len(x), 3, 3))
     result[:, 0, 1], result[:, 0, 2], result[:, 1, 2] = -x[:, 2], x[:, 1], -x[:, 0]
     return result - result.transpose(0, 2, 1)

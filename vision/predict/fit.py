@@ -43,8 +43,6 @@ _NO_WORSE = 1.1  # by so much may the position be less sure with more landmarks
 
 @dataclass(frozen=True, slots=True)
 class _Start:
-    """Pose, map errors (L, M), fitted landmarks; asked: outlines that must agree; views: used; remark."""
-
     pose: Pose
     shift_m: Array
     chosen: list[int]
@@ -231,7 +229,6 @@ def _sigma_m(fit: PoseEstimate) -> float:
 
 
 def _pair_sigma_px(rig: StereoRig) -> float:
-    """Calibration sigma of the images' mutual shift [px]."""
     turn = 0.0 if rig.covariance_rc is None else float(rig.covariance_rc[3:5, 3:5].diagonal().max()) * rig.left.fy**2
     lenses = sum(float(c.covariance[2:4, 2:4].diagonal().max()) for c in (rig.left, rig.right) if c.covariance is not None)
     return math.sqrt(turn + lenses)
@@ -249,7 +246,6 @@ def _whole(fit: PoseEstimate) -> bool:
 
 
 def _middles(eye: Eye, marks: list[Landmark], pose: Pose, shift_m: Array) -> Array:
-    """Middles of the roofs (L, 2) px, without distortion."""
     p_nk, R_nk = eye.pose(*pose)
     roofs = np.array([(*(np.array(mark.centre_n) + one[:2]), mark.roof_d) for mark, one in zip(marks, shift_m, strict=True)])
     return straight(eye).camera.project((roofs - p_nk) @ R_nk)

@@ -2,7 +2,7 @@
 
     q = J_uv dx + e,   e ~ N(0, s^2)        (shift [px] of the outlines' middle; the map's error is one for all of them)
 
-A fit away from the summit, or with an equal rival, is refused; without a fit, a distinct summit is reported along its directions.
+A fit away from the summit, or with an equal rival, is refused; a distinct summit without fit is reported along its directions.
 """
 
 import math

@@ -51,15 +51,11 @@ class PredictConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class _Refused(NamedTuple):
-    """Reason for no fix."""
-
     outcome: str
     detail: str
 
 
 class _Decided(NamedTuple):
-    """A position, its fit and grade, reason; rival: next score over the best."""
-
     hypothesis: Candidate
     fitted: Fitted
     grade: Grade
@@ -71,7 +67,6 @@ class PredictPath:
     """Images of one rig, searched near the prior."""
 
     def __init__(self, rig: StereoRig, config: PredictConfig, pose: PoseConfig, gone: float, *, alone: bool = True) -> None:
-        """gone: assumed share of vanished landmarks; alone: one landmark may be a fix."""
         self._rig, self._config = rig, config
         self._fitter = Fitter(rig, pose, config.verify, config.most_fitted, gone)
         self._waiting = Waiting(config.verify)
@@ -195,7 +190,7 @@ class PredictPath:
         return _Decided(hypotheses[at], outcome, grade, reason, evidence.rival)
 
     def _confirmed(self, found: _Decided, marks: list[Landmark], t_ns: int, prior: Prior) -> _Decided | _Refused:
-        """Weak positions wait for an agreeing image; so do those that the last image contradicts."""
+        """Weak or contradicted positions wait for an agreeing image."""
         fitted, weak = found.fitted, found.grade == "weak"
         if found.grade == "refused":
             return _Refused("no_pose", found.reason)
@@ -280,7 +275,6 @@ def _reports(eye: Eye, marks: list[Landmark], hypothesis: Candidate, trusted: Ma
 
 
 def _boxes(eye: Eye, px: Array, offsets: Indices) -> list[tuple[int, int, int, int]]:
-    """Left, top, width, height per landmark of corners px[offsets[k] : offsets[k + 1]] before the camera."""
     good, limit = np.isfinite(px).all(axis=1, keepdims=True), np.array([eye.camera.width, eye.camera.height])
     low = np.minimum.reduceat(np.where(good, px, np.inf), offsets[:-1])
     high = np.maximum.reduceat(np.where(good, px, -np.inf), offsets[:-1])

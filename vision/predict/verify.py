@@ -1,4 +1,4 @@
-"""Verification of a position; in doubt no fix (docs/vision_predict.md).
+"""Verification of a position (docs/vision_predict.md).
 
 share   = sum support / sum length          of all landmarks in view, not of the chosen ones
 rival   = (score of another position) / score          where it is high, both are fitted, and their odds compared
@@ -214,7 +214,6 @@ class _Held:
         return cls(t_ns, error, fit.joint_covariance, prior, fitted.odds, sure)
 
     def view_change(self, now: Prior, points_n: Array) -> float:
-        """Mean turn [rad] of the lines of sight to points (N, 3), in body axes."""
         then_b, now_b = ((points_n - prior.p_n) @ prior.R_nb for prior in (self.prior, now))
         across = np.linalg.norm(np.cross(then_b, now_b), axis=1)
         return float(np.mean(np.arctan2(across, np.sum(then_b * now_b, axis=1))))

@@ -17,8 +17,6 @@ _HINTS = 2  # images searched for a board of another size
 
 
 class _Gathered:
-    """The views of a board in the images so far, and the images that show none."""
-
     def __init__(self, board: Board) -> None:
         self._board = board
         self._views: list[Keyed] = []
@@ -27,7 +25,6 @@ class _Gathered:
         self._shown: list[Image] = []
 
     def add(self, image: SourceImage) -> None:
-        """Search for the board in one more image."""
         if image.fault:
             self._unused.append(Dropped(image.name, image.fault))
             return
@@ -40,7 +37,6 @@ class _Gathered:
             self._without += [image.image] * (found is Why.NOT_FOUND and len(self._without) < _HINTS)
 
     def checked(self) -> tuple[list[Keyed], list[Dropped]]:
-        """Views with keys, and what was not used. Raises CalibrationError: too few, or a larger board."""
         _check_whole(self._board, self._shown)
         if len(self._views) < FEWEST:
             sizes = [size_seen(image, self._board) for image in self._without]

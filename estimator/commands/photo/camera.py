@@ -4,7 +4,7 @@
              focal length times the sensor's pixels in a mm                                  1.5 %
              w / W times the 35 mm equivalent, W of 36 mm or of a diagonal of 43.3 mm          3 %
 
-35 mm equivalent: of the width at 3:2, the diagonal at 4:3 (CIPA DCG-001), else the mean. No distortion.
+35 mm equivalent: width at 3:2, diagonal at 4:3 (CIPA DCG-001), else the mean.
 """
 
 from typing import Final, NamedTuple

@@ -3,9 +3,8 @@
     alt = ground + height above take-off,     or the height above the sea + N (EGM96), in this order
     sigma: 3 m north and east, 2 m and 5 % of the height (10 m of a height above the sea), 1.5 degrees of tilt, 3.5 of heading
 
-The body is the camera, level where it looks down with the photo's upper edge ahead: R_nb = R(roll, pitch, yaw of the gimbal)
-Ry(90 deg). The 2 m cover ground less level than assumed. A camera's own sigma is doubled, at least 0.5 m: it excludes trigger,
-antenna and datum.
+Body = camera: R_nb = R(roll, pitch, yaw of the gimbal) Ry(90 deg). The 2 m: uneven ground. A camera's own sigma is doubled, at
+least 0.5 m, for trigger, antenna, datum.
 """
 
 import math

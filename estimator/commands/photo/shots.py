@@ -1,8 +1,4 @@
-"""Input of landfix locate: images with priors.
-
-rig      --rig: a rig of two cameras, or one camera on the body; without it the camera of the first photo's tags
-prior    --prior, one for all or one for each; without it each photo's own tags, and then the body is the camera
-"""
+"""Input of landfix locate: rig and images, with priors by --prior or by each photo's tags (then the body is the camera)."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -141,7 +137,6 @@ def _of_rig(rig: StereoRig, files: list[Path], given: Given, frame: Origin) -> S
 
 
 def _rig(first: Path, given: Given, tags: dict[Path, Tags], remarks: list[str]) -> StereoRig:
-    """One camera on the body, or the body itself where the prior is the camera's."""
     mount = given.mount
     if given.rig is not None:
         rig = load_cameras(given.rig, mount if given.prior else BodyPose(DOWN, np.zeros(3), np.zeros((6, 6))))
@@ -211,7 +206,7 @@ def _prior(text: str, sigma: str, frame: Origin) -> Prior:
 
 
 def _sigmas(text: str) -> list[float]:
-    """Horizontal, vertical [m], tilt, heading [deg] of four numbers, or of two (m, deg). Raises BadParameter."""
+    """Horizontal, vertical [m], tilt, heading [deg]. Raises BadParameter."""
     if text.count(",") == _BY_AXIS - 1:
         return numbers(text, _BY_AXIS, "--prior-sigma", "10,5,1,3")
     metres, degrees = numbers(text or _USUAL_SIGMA, 2, "--prior-sigma", _USUAL_SIGMA)

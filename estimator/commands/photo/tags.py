@@ -38,9 +38,8 @@ _EDITORS: Final = ("microsoft", "adobe", "gimp", "photos", "picasa", "lightroom"
 class Tags:
     """Tags, None where unusable.
 
-    taken_px: original size; altitude_m: above sea or ellipsoid; attitude_deg: roll, pitch, yaw; sigma_m: horizontal, vertical;
-    taken_s: local clock; focal length in mm, mm of 35 mm film, px; px of the sensor in a mm; dewarp: fx fy cx cy k1 k2 p1 p2 k3,
-    (cx, cy) from the middle; dewarped: applied; zoom: digital; edited_by: a later program.
+    altitude_m: above sea or ellipsoid; attitude_deg: roll, pitch, yaw; sigma_m: horizontal, vertical; taken_s: local clock;
+    dewarp: fx fy cx cy k1 k2 p1 p2 k3, (cx, cy) from the middle; dewarped: applied; zoom: digital; edited_by: a later program.
     """
 
     width: int
@@ -144,7 +143,7 @@ def _attitude(xmp: Mapping[str, str], make: str) -> tuple[float, float, float] |
 
 
 def _place(gps: Mapping[int, Any], xmp: Mapping[str, str]) -> tuple[float, float] | None:
-    """Latitude and longitude [deg], XMP's first (more digits). None without a fix, which is written as zeros or V."""
+    """Degrees, XMP's first (more digits); None: no fix, written as zeros or V."""
     lat, lon = _of(xmp, "GpsLatitude"), _of(xmp, "GpsLongitude")
     if lon is None:
         lon = _of(xmp, "GpsLongtitude")  # as DJI spells it
@@ -169,7 +168,6 @@ def _altitude(gps: Mapping[int, Any], xmp: Mapping[str, str]) -> tuple[float | N
 
 
 def _sigma(xmp: Mapping[str, str]) -> tuple[float, float] | None:
-    """Horizontal and vertical [m]; 0 is not known."""
     if _of(xmp, "RtkFlag") in _RTK:
         north, east, up = (_of(xmp, f"RtkStd{axis}") for axis in ("Lat", "Lon", "Hgt"))
         across, up = max(north or 0.0, east or 0.0), up or 0.0
@@ -213,7 +211,6 @@ def _above_0(value: Any) -> float | None:
 
 
 def _number(value: Any) -> float | None:
-    """A finite number of a number, a rational or a text such as +39.80 or 3/2; else None."""
     try:
         if isinstance(value, str) and "/" in value:
             above, below = value.split("/")

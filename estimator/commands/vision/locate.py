@@ -221,7 +221,6 @@ def _map(map_file: Path | None, known: "ImageFile | None") -> "tuple[LandmarkMap
 
 
 def _ground_d(landmarks: "LandmarkMap", known: "MapImage | None", north: float, east: float) -> float:
-    """Down of the ground: of landmarks near by, else the image's, else the origin's."""
     import numpy as np
 
     rows = landmarks.rows_near(north, east, _AROUND_M)[:_NEAREST]
@@ -261,7 +260,6 @@ def _joint(prior: "Prior", fix: "LandmarkFix") -> "tuple[Array, Array, Array]":
 
 
 def _pose_json(landmarks: "LandmarkMap", p_n: "Array", q_nb: "Array", covariance: "Array") -> dict[str, Any]:
-    """within_m: the position is known to so many metres in every direction (95 %)."""
     import numpy as np
 
     from models import so3

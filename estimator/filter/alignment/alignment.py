@@ -271,7 +271,6 @@ class Alignment:
         return not self.contradiction.unforeseen and core.t_ns - since_ns >= _PROVEN_NS * 3 ** min(self.given_up, _THRICE_AT_MOST)
 
     def _find_heading(self, aid: Aid, z: Position | Pose, at: Level, samples: ImuBuffer, gyro_b: Array) -> Decision:
-        """Wait at rest; in motion start the bank of headings."""
         core = self.core
         config = core.config.initialise
         if self._start_from_prior(z, at, samples) or self._start_from_sensed(z, at, samples):
@@ -316,7 +315,6 @@ class Alignment:
         )
 
     def _start_from_prior(self, z: Position | Pose, at: Level, samples: ImuBuffer) -> bool:
-        """Start with a prior attitude that is fresh, agrees with gravity and was not ruled out by a search."""
         core = self.core
         if self.prior is None or core.t_ns - self.prior[0] > _FRESH_NS:
             return False

@@ -4,8 +4,7 @@ A pose fix with attitude starts the filter; a position after levelling by the la
 
       roll = atan2(-f_y, -f_z),  pitch = atan2(f_x, sqrt(f_y^2 + f_z^2))                              (Groves 2013, eq. 5.101)
 
-with eight headings, of which the wrong ones mispredict accelerations (Gaussian sum; Sorenson and Alspach 1971). At rest nothing
-is started.
+with eight headings (Gaussian sum; Sorenson and Alspach 1971), not at rest.
 """
 
 import math
@@ -258,14 +257,12 @@ def lacks(bank: Hypotheses, config: InitialiseConfig) -> str:
 
 
 def _sigmas(bank: Hypotheses) -> tuple[float, float]:
-    """Sigmas of attitude [rad] and velocity [m/s], each about the worst axis."""
     cov = np.diag(bank.lead.cov)
     attitude = math.sqrt(float(cov[E.THETA].max()) + _heading_spread(bank) ** 2)
     return attitude, math.sqrt(float(cov[E.V].max()))
 
 
 def _tilt_and_heading(bank: Hypotheses) -> tuple[float, float]:
-    """Sigmas of the tilt, about its worse axis, and of the heading, rad."""
     r_nb = so3.matrix(bank.lead.x[X.Q])
     about_n = np.diag(r_nb @ bank.lead.cov[E.THETA, E.THETA] @ r_nb.T)
     return math.sqrt(float(about_n[:2].max())), math.sqrt(float(about_n[2]) + _heading_spread(bank) ** 2)

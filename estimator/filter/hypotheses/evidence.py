@@ -83,7 +83,6 @@ def _again(members: list[Hypothesis], aid: Aid, seen: list[Innovation], passed: 
 
 
 def _predicted(members: list[Hypothesis], by: list[int], seen: list[Innovation]) -> float:
-    """ln density of a reading to the hypotheses `by`: sum of w_j N(nu_j; 0, S_j) / sum of w_j; -inf without any."""
     if not by:
         return -math.inf
     weights = [members[j].weight for j in by]

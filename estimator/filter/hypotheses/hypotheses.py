@@ -165,7 +165,6 @@ class Hypotheses:
         aid, fused = e.aid, [False] * len(e.seen)
 
         def answer(k: int) -> float:
-            """Gain of hypothesis k."""
             member, before = self.members[k], self.members[k].weight
             fused[k] = self._answer(k, e, born, lead_refuses=k > 0 and not fused[0])
             return member.weight - before

@@ -44,7 +44,7 @@ def read_gdal(path: Path, place: Place) -> Iterator[Footprint]:
 
 
 def _check_head(path: Path) -> None:
-    """Refuse content that contradicts the file name: a GDAL format may name other files. Raises MapError."""
+    """Raises MapError where content contradicts the name: a GDAL format may name other files."""
     try:
         with opened(path) as file:
             head = file.read(_HEAD)

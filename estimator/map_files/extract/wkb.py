@@ -2,8 +2,7 @@
 
     byte order (1), type (uint32), then of a polygon: number of rings, of each the number of points and the points (doubles)
 
-Types: 3 polygon, 6 multipolygon; + 1000 z, + 2000 m, + 3000 both (ISO), or the top bits z, m, SRID (EWKB). Source: OGC 06-103r4,
-section 8.
+Types: 3 polygon, 6 multipolygon; + 1000 z, + 2000 m, + 3000 both (ISO), or top bits z, m, SRID (EWKB). OGC 06-103r4, section 8.
 """
 
 import struct

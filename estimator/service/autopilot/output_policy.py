@@ -1,4 +1,4 @@
-"""Output policy: "odometry" continuously, a "fix" when a landmark or outside fix was fused and the autopilot's own GNSS was not.
+"""Output: "odometry" continuously, a "fix" when a landmark or outside fix was fused, not the autopilot's GNSS.
 
 Quality, r the 95 % radius, r_max = most_radius_m:
 
@@ -155,7 +155,6 @@ class OutputPolicy:
 
 
 def _has_stepped(before: Estimate, p_before: Vec3, now: Estimate, p_n: Vec3) -> bool:
-    """Horizontal only: barometric heights and the origin's height drift."""
     dt_ns = now.t_ns - before.t_ns
     if not 0 < dt_ns <= _GAP_NS:
         return False

@@ -115,7 +115,7 @@ class Offset:
             self.steps += 1
 
     def _observe(self, ahead_ns: int, bound_ns: int, now_ns: int) -> None:
-        """The narrowest bound of a window counts, among equals the quickest: delays are positive."""
+        """The narrowest bound of a window counts, then the quickest."""
         reading = (-bound_ns, ahead_ns)
         if not self._best or now_ns - self._since_ns > _WINDOW_NS:
             self._best = [*self._best[-1:], reading]
@@ -136,8 +136,6 @@ class Offset:
 
 @dataclass(slots=True)
 class _Trial:
-    """Stamps that fit no known clock, but may be in step among themselves."""
-
     ahead_ns: int
     since_ns: int
     count: int = 1
@@ -146,8 +144,8 @@ class _Trial:
 class Stamps:
     """Times of validity on our clock, from plausible stamps.
 
-    Known clocks: the wall clock now and before its last step, and steady foreign ones more than a minute off. Of those with 0 <=
-    lag <= late_s the one with the topic's usual lag counts. Stamps less than a minute off are kept, and refused by the estimator.
+    Known: the wall clock, now and before its last step, and steady foreign ones over a minute off. Of those with 0 <= lag <=
+    late_s the one with the topic's usual lag counts.
     """
 
     def __init__(self, clock: Clock, config: ClockConfig) -> None:

@@ -22,7 +22,7 @@ _FULL: Final = 4096 * _LEAST  # ten seconds of it, half a second to handle
 
 
 class _Line:
-    """Waiting messages of one topic; lock-free: links count in, the loop counts out."""
+    """Lock-free: links count in, the loop counts out."""
 
     def __init__(self) -> None:
         self.waiting: deque[Arrival] = deque()
@@ -31,7 +31,6 @@ class _Line:
 
     @property
     def load(self) -> int:
-        """Waiting bytes."""
         return self.put_bytes - self.got_bytes
 
 

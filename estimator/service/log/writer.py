@@ -273,7 +273,7 @@ class LogWriter:
             self._shared = str(error)
 
     def _end_file(self) -> None:
-        """Index and end; where they do not fit, the file is torn but has all flushed messages."""
+        """Without room for them the file is torn, all flushed messages kept."""
         if self._recorder is not None:
             with contextlib.suppress(LogError):
                 self._recorder.close()

@@ -1,4 +1,4 @@
-"""MAVLink messages <-> records; NED and FRD like ours. ODOMETRY differs by autopilot:
+"""MAVLink messages <-> records, both NED and FRD. ODOMETRY differs:
 
 PX4        LOCAL_NED, BODY_FRD; covariances are covariances
 ArduPilot  LOCAL_FRD, BODY_FRD, the numbers NED all the same; of three numbers c of the pose's diagonal it makes
@@ -268,7 +268,7 @@ def _coarse_field(message: Any) -> tuple[float, ...] | None:
 
 
 def _azimuth(message: Any) -> tuple[float, ...] | None:
-    """Two antennas, centidegrees; 0: not available, 65535: not now, 36000: north."""
+    """Centidegrees; 0: not available, 65535: not now, 36000: north."""
     return None if message.yaw in {0, _UNKNOWN} else (math.radians(1e-2 * message.yaw),)
 
 

@@ -67,8 +67,6 @@ def ask(config: MavlinkConfig, folder: Path, names: dict[int, tuple[str, ...]]) 
 
 
 class _Talk:
-    """With whoever answers first."""
-
     def __init__(self, config: MavlinkConfig, folder: Path, endpoint: Any) -> None:
         key, heard = signing_key(config, folder), frozenset(config.listen_to)
         self._in, self._out = (
@@ -86,7 +84,6 @@ class _Talk:
         self._say(mavlink.MAVLink_heartbeat_message(kind, none, 0, 0, mavlink.MAV_STATE_ACTIVE, 3))
 
     def ask_for(self, names: Iterable[str]) -> None:
-        """Ask for these and unanswered ones."""
         system, component = self._config.system, mavlink.MAV_COMP_ID_AUTOPILOT1
         unknown = {
             mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: not self.version,
@@ -101,7 +98,6 @@ class _Talk:
             self._say(mavlink.MAVLink_param_request_read_message(system, component, name.encode(), -1))
 
     def listen(self, seconds: float, wanted: AbstractSet[str] | None = None) -> bool:
-        """Receive; returns early, True, with all wanted parameters, version and origin."""
         end, complete = time.monotonic() + seconds, False
         while not complete and (left_s := end - time.monotonic()) > 0.0:
             heard = self._endpoint.receive(left_s)

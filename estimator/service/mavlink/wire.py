@@ -69,7 +69,6 @@ class Wire(mavlink.MAVLink):  # type: ignore[misc]
                 yield message
 
     def _found(self, data: bytes) -> Iterator[Any]:
-        """Frames and false starts, after which the search goes on at the next byte."""
         message = self.parse_char(data)
         while message is not None:
             if self._is_false_start(message):

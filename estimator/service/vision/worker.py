@@ -103,7 +103,7 @@ def answer_until_closed(pipe: Connection, load: Callable[[], tuple[int, Respond]
 
 
 def _give_way() -> None:
-    """Behind the daemon's nice value, never real-time, whose throttle would stop the daemon too."""
+    """Behind the daemon, never real-time: the throttle would stop it too."""
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     os.nice(_GIVES_WAY)
 
@@ -125,7 +125,6 @@ class VisionWorker:
         screen: Screen | None = None,
         overlay_hz: float = 0.0,
     ) -> None:
-        """files: cameras, map, origin, image; sides: topic -> "left" or "right"; screen: overlay target."""
         self._screen, self._overlay_pace = screen if overlay_hz > 0.0 else None, Pace(overlay_hz)
         self._files, self._config, self._sides = files, config, sides
         self._clock, self._stamps, self._track, self._tell = clock, stamps, track, tell
@@ -293,7 +292,7 @@ class VisionWorker:
             answered.set()
 
     def _killed_in(self, seconds: float) -> threading.Event:
-        """Kill the process after that time unless the event is set; time while stopped does not count."""
+        """Unless the event is set; time while stopped does not count."""
         assert self._process is not None
         answered, process = threading.Event(), self._process
 

@@ -42,8 +42,6 @@ class BusError(Exception):
 
 
 class _Sender:
-    """One topic under its keys."""
-
     def __init__(self, session: zenoh.Session, config: ZenohConfig, topic: str, schema: str) -> None:
         fast = topic in _FAST
         options: dict[str, Any] = {
@@ -71,7 +69,6 @@ class _Sender:
             ]
 
     def put(self, data: bytes, now_ns: int) -> None:
-        """Send; keep it for those who come later."""
         self.last = data
         if self._rmw is not None:
             self._sequence += 1
@@ -80,7 +77,6 @@ class _Sender:
             self._plain.put(data)
 
     def watched(self) -> bool:
-        """Whether somebody subscribes."""
         return any(p is not None and p.matching_status.matching for p in (self._rmw, self._plain))  # type: ignore[attr-defined]
 
     def _answer(self, query: zenoh.Query) -> None:

@@ -144,7 +144,7 @@ class Px4Link:
         self.sent_fixes += self._put(self._fix, data)
 
     def _put(self, publisher: zenoh.Publisher, data: bytes | None) -> bool:
-        """Whether it went out; messages that do not fit are counted and dropped. Raises ZError."""
+        """Raises ZError; messages that do not fit are counted and dropped."""
         if data is None:
             self.out_of_range += 1
             return False

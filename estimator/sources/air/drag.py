@@ -2,8 +2,8 @@
 
     u(f - b_a - d) = (1 + s) (R_nb^T (v - w))_xy + n
 
-f: mean specific force; d: misalignment of thrust and IMU z; s: error of the coefficient; both estimated. Asked ten times a
-second, not on the ground.
+f: mean specific force; d: misalignment of thrust and IMU z, s: error of the coefficient, both estimated. Ten times a second in
+flight.
 """
 
 import math

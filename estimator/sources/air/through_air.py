@@ -4,8 +4,8 @@
     f = -(k + (rho / 2 B) |u|) u,   u = (z_x, z_y)                           (PX4 EKF2: MCOEF k [1/s], BCOEF B [kg/m^2])
     u = -m(|f|) f / |f|,            m(f) = (sqrt(k^2 + 4 c f) - k) / 2 c,   c = rho / 2 B
 
-f: specific force across the thrust. The wind is estimated, and the scale s, z_b = (1 + s) u + n, with d z / d s = u of the
-estimate, not the noisy reading (errors in variables; Fuller 1987).
+f: specific force across the thrust. Estimated: wind, scale s, z_b = (1 + s) u + n, d z / d s = u of the estimate (errors in
+variables; Fuller 1987).
 """
 
 import math

@@ -20,11 +20,10 @@ _FLOAT = struct.Struct("=d")
 class Aid(msgspec.Struct, frozen=True, eq=False):
     """A checked message as a measurement.
 
-    order: place among all; measurement(origin): z or None; absolute: fixes the map position; log_false: ln density of a false
-    reading; slow_errors: carried; detail: remark; alignment_only: a prior, not fused in flight; assumed: substituted
-    accuracy; weighs: evidence between hypotheses, unless considered errors dominate; begin: entry where its time begins;
-    delay_sigma_s: of the validity, s; check(origin): refusal there, STOPPED: of the source; uses_rate: depends on the angular
-    rate.
+    measurement(origin): z or None; absolute: fixes the map position; log_false: ln density of a false reading; alignment_only: a
+    prior, not fused in flight; assumed: substituted accuracy; weighs: evidence between hypotheses, unless considered errors
+    dominate; begin: entry where its time begins; check(origin): refusal, STOPPED: of the source; uses_rate: depends on the
+    angular rate.
     """
 
     t_ns: int
@@ -83,9 +82,8 @@ class SensorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class SlowError(msgspec.Struct, frozen=True, eq=False):
     """An error s (k,) that repeats from fix to fix: first-order Gauss-Markov, covariance (k, k), tau_s [s].
 
-    jacobian: d z / d s (m, k) of the whole measurement, or the state's; None: s shifts the leading components. walk: (k,)
-    variance per second: estimated random walk, s_0 from the first reading; None: considered. starts_at_zero: estimated with s_0 =
-    0 of this covariance.
+    jacobian: d z / d s (m, k) of the whole measurement, or the state's; None: s shifts the leading components. walk (k,):
+    variance per second, estimated, s_0 from the first reading or zero (starts_at_zero); None: considered.
     """
 
     block: str

@@ -8,9 +8,8 @@
     |u_2 - u_1 - d| > threshold + 0.1 |u_1| + 5 s_12            (means over 0.2 s; gyroscope and accelerometer apart)
     b <- b + d,    P_bb <- P_bb + diag(max(s, floor)^2)         (the new IMU's biases)
 
-d: mean difference of up to 20 s before, s its sigma; where too little is known, d = 0 and s is sqrt(2) times the initial sigma.
-s_12: standard error of the difference. The failed IMU's samples since the fault are replaced. The choice depends on the order of
-arrival; of late measurements only a position that decides between two changes it.
+d: mean difference of up to 20 s before, s its sigma; else d = 0, s = sqrt(2) times the initial sigma. s_12: standard error. The
+failed IMU's samples since the fault are replaced. The choice depends on the order of arrival.
 """
 
 import math
@@ -161,7 +160,6 @@ class Choice:
         return t_ns - self._streams[topic].newest_ns <= _SILENT_NS
 
     def _contradict(self, one: str, other: str, share: float = 1.0) -> bool:
-        """The last blocks of two IMUs differ by that share of the threshold more than before."""
         first, second = self._streams[one], self._streams[other]
         blocks, differences = first.blocks(second)
         if len(blocks) < _AGAINST:

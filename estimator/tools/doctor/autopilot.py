@@ -56,8 +56,6 @@ def autopilot(config: Config, folder: Path) -> list[Check]:
 
 
 class _Parameters:
-    """Judges one parameter after the other."""
-
     def __init__(self, values: dict[str, float]) -> None:
         self._values = values
 
@@ -66,7 +64,6 @@ class _Parameters:
         return self._values.get(name, float("nan"))
 
     def check(self, name: str, good: bool, advice: str, *, warn: bool = False) -> Check:
-        """A check; advice: what to set and why."""
         has = name in self._values
         found = f"{self._values[name]:g}" if has else "no such parameter"
         return judge(name, found, fail=not good and not warn, warn=not good and warn, advice=advice)

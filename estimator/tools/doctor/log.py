@@ -38,8 +38,6 @@ _HALF_EMPTY = 0.1  # of all samples
 
 
 class _Topic:
-    """Content of a topic."""
-
     def __init__(self, schema: str) -> None:
         self.schema = schema
         self.stamps: list[int] = []
@@ -51,7 +49,6 @@ class _Topic:
         self.assumptions = 0
 
     def add(self, message: Input, made: Aid | Refusal | None) -> None:
-        """made: the measurement of the message, or its refusal."""
         self.count += 1
         if isinstance(message, Unusable):
             self.bad.append(message.detail)
@@ -106,13 +103,10 @@ def log(path: Path, config: Config, progress: Callable[[float], None] | None = N
 
 
 class _Alignment:
-    """The estimator itself, on the log until its first estimate."""
-
     def __init__(self, config: Config) -> None:
         self._fusion, self._builder, self._aligned = Fusion(config.fusion()), SummaryBuilder(), False
 
     def step(self, message: Input, log_time_ns: int) -> None:
-        """The next message."""
         if not self._aligned:
             self._builder.record(log_time_ns)
             outputs = self._fusion.handle(message)
@@ -120,7 +114,6 @@ class _Alignment:
             self._aligned = any(isinstance(output, Estimate) for output in outputs)
 
     def judged(self, kind: str) -> Check:
-        """Whether the log leads to an estimate."""
         summary = self._builder.summary(0.0, [], 0, "", kind)
         if summary.first_estimate_s is None:
             return judge("alignment", "this log leads to no estimate", fail=True, advice=summary.advice)

@@ -78,7 +78,6 @@ def results(
 
 
 def _ended(client: Client, finished: Any) -> Iterator[Any]:
-    """The futures of an as_completed."""
     seen_s = time.monotonic()  # when there was a worker
     while finished.count():
         if batch := finished.next_batch(block=False):

@@ -109,8 +109,6 @@ def _result(flight: Flight, settings: Settings, scratch: Path, row: dict[str, An
 
 
 class _Prepared(NamedTuple):
-    """What a replay of a flight takes."""
-
     files: list[Path]
     config: Config
     processor: SeesAgain | None

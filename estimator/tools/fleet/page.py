@@ -55,7 +55,6 @@ def _flights(title: str, changes: list[Change], reports: Mapping[str, Links]) ->
 
 
 def _flight(change: Change, links: Links | None) -> str:
-    """links: None: the table has no column of reports."""
     made = " ".join(f'<a href="{text(href)}">{text(label)}</a>' for label, href in links or ())
     made = "" if links is None else f"<td>{made}</td>"
     return f"<tr><td>{text(change.log)}</td><td>{text(words(change))}</td>{made}</tr>"

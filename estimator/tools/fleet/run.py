@@ -96,8 +96,6 @@ def run(
 
 
 class _Counts:
-    """Counts so far."""
-
     def __init__(self, label: str, flights: int, known: int) -> None:
         self._label, self._flights, self._known = label, flights, known
         self._done = self._failed = self._read = self._stored = 0
@@ -105,7 +103,6 @@ class _Counts:
         self._unfinished: dict[str, str] = {}
 
     def add(self, flight: Flight, result: Row | Exception) -> None:
-        """Add a flight's result."""
         if not isinstance(result, Row):
             self._unfinished[flight.log] = f"{type(result).__name__}: {' '.join(str(result).split())}"[:200]
             return
@@ -119,17 +116,14 @@ class _Counts:
 
     @property
     def ended(self) -> int:
-        """Finished flights, failed ones included."""
         return self._done + len(self._unfinished)
 
     @property
     def text(self) -> str:
-        """For the bar."""
         failed = f", {self._failed} failed" if self._failed else ""
         return f"{self._known + self._done} of {self._flights} flights, {self._hours:.1f} h{failed}"
 
     def summary(self) -> RunSummary:
-        """All of it."""
         return RunSummary(
             label=self._label,
             flights=self._flights,

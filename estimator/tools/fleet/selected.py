@@ -161,15 +161,12 @@ def _partial(source: "_Source", chunk: ChunkIndex, channels: set[int]) -> bytes:
 
 
 class _Source:
-    """Byte ranges of a file in a store, counted."""
-
     def __init__(self, fs: fsspec.AbstractFileSystem, path: str) -> None:
         self._fs, self._path = fs, path
         self.size = int(fs.size(path) or 0)
         self.read_bytes = 0
 
     def index(self) -> Index | None:
-        """The index, or None."""
         end = self._read([(max(0, self.size - _FOOTER_BYTES), self.size)])[0]
         opcode, length = _FRAME.unpack_from(end) if len(end) == _FOOTER_BYTES else (0, 0)
         if opcode != Opcode.FOOTER or length != _FOOTER_BYTES - _FRAME.size - len(MAGIC) or not end.endswith(MAGIC):
@@ -179,7 +176,6 @@ class _Source:
         return Index(self._read([(start, stop)])[0]) if 0 < start < stop else None
 
     def pieces(self, ranges: Iterator[Range]) -> Iterator[bytes]:
-        """The bytes of each range; near ones are asked for together."""
         for group in _groups(ranges):
             starts, ends = [a for a, _ in group], [b for _, b in group]
             _, begins, stops = merge_offset_ranges([self._path] * len(group), starts, ends, _GAP_BYTES, _BLOCK_BYTES)

@@ -1,10 +1,10 @@
 """Forecast of the 95 % radius on a route without GPS: the estimator flies it with a perfect IMU.
 
-An image gives a fix by landmarks with whole roofs in view, unless ambiguous within the present radius:
+Fixes by landmarks with whole roofs in view, unless ambiguous within the present radius:
 
     usable(i):  nearest similar landmark > 2 r95,  or three in view whose arrangement repeats no nearer than 2 r95
 
-A share `found` of images has a fix, drawn three times; the largest radius counts.
+A share `found` of images has a fix; largest radius of three draws.
 """
 
 import math
@@ -188,8 +188,6 @@ def _alike(the_map: LandmarkMap) -> tuple[Alike, float]:
 
 
 class _Seen:
-    """Landmarks from above and their fix; reach_m: search radius of look-alikes."""
-
     def __init__(self, the_map: LandmarkMap, alike: Alike, reach_m: float, camera: Camera) -> None:
         self._map, self._alike, self._reach_m, self._camera = the_map, alike, reach_m, camera
         d = the_map.description
@@ -197,7 +195,6 @@ class _Seen:
         self._place = d[:, [polygon.NORTH, polygon.EAST]]
 
     def from_above(self, p_n: Array, radius95_m: float) -> tuple[NDArray[np.int64], int]:
-        """Rows not ambiguous, and number in view."""
         c = self._map.columns
         half = math.tan(math.radians(0.5 * self._camera.view_deg))
         widest = half * float(-p_n[2] - c.base_d.min() + 1000.0)
@@ -212,7 +209,7 @@ class _Seen:
         return rows[alone | together], len(rows)
 
     def fix(self, t_ns: int, p_n: Array, q: tuple[float, float, float, float], rows: NDArray[np.int64]) -> LandmarkFix:
-        """A fix of all usable landmarks; m have 1/m of an error."""
+        """m landmarks have 1/m of an error."""
         c, m = self._map.columns, len(rows)
         distance = float(np.mean(c.base_d[rows] - c.height_m[rows])) - float(p_n[2])
         sigma, turn = self._camera.sigma_share * distance / math.sqrt(m), math.radians(self._camera.sigma_deg)

@@ -111,7 +111,7 @@ def _rectified(rig: StereoRig) -> Rectification:
 
 
 def _read(log: Path, config: Config) -> tuple[list[Input], bool]:
-    """Sensor inputs, and whether the log is torn; fixes of a map are left out, or its errors would return as new."""
+    """Inputs without fixes of a map, whose errors would return as new; and whether torn."""
     decoder = config.decoder()
     with LogReader(log) as reader:
         decoded = (decoder.decode(r.topic, r.schema, r.data, r.log_time_ns) for r in reader)

@@ -24,8 +24,6 @@ _MARGIN_M: Final = 50.0
 
 
 class _Choice(NamedTuple):
-    """An attempt with its image and the estimator's decision."""
-
     t_ns: int
     frame: Frame
     image: ImageName

@@ -35,8 +35,6 @@ class Choice(msgspec.Struct, frozen=True):
 
 
 class _Video:
-    """A video file or none, a context; opened at the first image. Raises LogError."""
-
     def __init__(self, path: Path | None, rate_hz: float) -> None:
         self._path, self._rate_hz = path, rate_hz
         self._writer: cv2.VideoWriter | None = None
@@ -53,7 +51,6 @@ class _Video:
             self._writer.release()  # the file is whole
 
     def write(self, canvas: Canvas) -> None:
-        """Add an image."""
         if self._path is None:
             return
         if self._writer is None:

@@ -4,7 +4,7 @@ Held out in windows, each once, against the estimate x, P:
 
     y = z [-] x,   S = P + R,   score = ln( (1 - eps) N(y; 0, S) + eps U )
 
-A proper score (Gneiting & Raftery 2007, JASA 102); eps U: density of a false fix, also the score without estimate.
+A proper score (Gneiting & Raftery 2007, JASA 102); eps U: of a false fix, or without estimate.
 """
 
 import math
@@ -100,11 +100,9 @@ class _Stretches(NamedTuple):
     fold: int
 
     def number(self, t_ns: int) -> int:
-        """Of the stretch."""
         return (t_ns - self.begin_ns) // self.period_ns
 
     def held_back(self, m: Input) -> bool:
-        """Whether the filter is not shown it."""
         k = self.number(m.t_ns)
         return isinstance(m, Absolute | GnssVelocity) and k >= 0 and k % 2 == self.fold
 
@@ -194,8 +192,6 @@ def _nearer(t_ns: int, before: Estimate | None, after: Estimate | None) -> Estim
 
 
 class _Comparison(NamedTuple):
-    """As Window, of one fix; without an estimate nothing but the score."""
-
     score: float
     false: bool
     nis: float = 0.0

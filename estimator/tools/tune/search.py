@@ -253,7 +253,7 @@ def warning(result: TuneResult) -> str:
 
 
 def _gain(after: Sequence[Window], before: Sequence[Window]) -> Gain:
-    """Paired: windows are independent of each other, the fixes in one are not."""
+    """Paired by window: the fixes in one depend on each other."""
     difference = np.array([a.score - b.score for a, b in zip(after, before, strict=True)])
     spread = float(np.std(difference, ddof=1)) if len(difference) > 1 else math.inf
     return Gain(float(difference.mean()), spread / math.sqrt(len(difference)))

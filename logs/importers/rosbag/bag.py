@@ -81,7 +81,7 @@ class Bag:
                 self._note(path, "torn" if reader.torn else "damaged in places")
 
     def _sqlite(self, path: Path) -> Iterator[Record]:
-        """A single file without metadata.yaml, as of a killed recorder."""
+        """A file without metadata.yaml, as of a killed recorder."""
         metadata = path.with_name("metadata.yaml")
         with_metadata = metadata.exists()
         if with_metadata and _COMPRESSED.search(metadata.read_text(errors="replace")):

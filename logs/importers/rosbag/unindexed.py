@@ -35,7 +35,7 @@ class Unpacker:
         self._kept: dict[int, bytes] = {}
 
     def __call__(self, compression: str, data: bytes, chunk: int | None = None) -> bytes:
-        """chunk: its place, to be kept under. Raises TooLargeError; KeyError: unknown compression; the decompressor's errors."""
+        """Raises TooLargeError; KeyError: unknown compression; the decompressor's errors."""
         if chunk is not None and chunk in self._kept:
             return self._kept[chunk]
         most = min(self._left, PIECE_BYTES)
@@ -126,6 +126,5 @@ def _fields(block: bytes) -> dict[bytes, bytes]:
 
 
 def _ros2_name(name: str) -> str:
-    """sensor_msgs/Imu -> sensor_msgs/msg/Imu."""
     package, _, kind = name.partition("/")
     return f"{package}/msg/{kind}"
