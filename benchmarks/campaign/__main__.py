@@ -2,7 +2,7 @@
 
     python -m benchmarks.campaign                            all flights, 100 seeds each
     python -m benchmarks.campaign --quick                    every third flight, 10 seeds
-    python -m benchmarks.campaign --scenarios rotor order --seeds 20
+    python -m benchmarks.campaign --scenarios rotor --seeds 20
     python -m benchmarks.campaign --list                     names of the scenarios
 
 Writes report.md, results.json and campaign.png.
@@ -10,11 +10,9 @@ Writes report.md, results.json and campaign.png.
 
 import argparse
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from functools import partial
 from pathlib import Path
-from typing import TypeVar
 
 import msgspec
 from rich.box import SIMPLE
@@ -23,38 +21,28 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table as RichTable
 
 from benchmarks.campaign import flights as campaign_flights
-from benchmarks.campaign import order as campaign_order
 from benchmarks.campaign import report as campaign_report
 from benchmarks.campaign import runs as campaign_runs
 from benchmarks.campaign import statistics as campaign_statistics
-from benchmarks.campaign.order import OrderResult
 from benchmarks.campaign.statistics import Result
 from benchmarks.tables import Table
 
 OUT = Path(__file__).parents[2] / "out" / "campaign"
 FLIGHTS = {flight.name: flight for flight in campaign_flights.matched() + campaign_flights.mismatched()}
-ORDERS = {f"order {name}": name for name in campaign_order.sources()}
-
-T = TypeVar("T")
 
 
 def main() -> None:
     arguments = parse()
     if arguments.list:
-        print("\n".join([*FLIGHTS, *ORDERS]))
+        print("\n".join(FLIGHTS))
         return
     names = chosen(arguments.scenarios)
     flights = [name for name in FLIGHTS if name in names][:: 3 if arguments.quick else 1]
-    orders = [name for name in ORDERS if name in names][:: 2 if arguments.quick else 1]
     seeds = range(arguments.seeds or (10 if arguments.quick else 100))
     os.environ["OMP_NUM_THREADS"] = "1"  # inherited: one thread a process
-    jobs: dict[tuple[str, int], Callable[[], object]] = {}
-    jobs |= {(name, seed): partial(fly, name, seed) for name in flights for seed in seeds}
-    jobs |= {(name, seed): partial(campaign_order.run, ORDERS[name], seed) for name in orders for seed in seeds}
-    done = run_all(jobs, arguments.jobs)
-    results = [campaign_statistics.judge(FLIGHTS[name], [done[name, seed] for seed in seeds]) for name in flights]  # type: ignore[misc]
-    late = [campaign_order.judge(ORDERS[name], [done[name, seed] for seed in seeds]) for name in orders]  # type: ignore[misc]
-    write(arguments.out, results, late)
+    done = run_all([(name, seed) for name in flights for seed in seeds], arguments.jobs)
+    results = [campaign_statistics.judge(FLIGHTS[name], [done[name, seed] for seed in seeds]) for name in flights]
+    write(arguments.out, results)
 
 
 def fly(name: str, seed: int) -> campaign_runs.Score:
@@ -67,11 +55,11 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--seeds", type=positive, help="runs a scenario (default 100)")
     parser.add_argument("--scenarios", nargs="+", metavar="NAME", help="names, or beginnings of names (default: all)")
     parser.add_argument("--jobs", type=positive, default=2, help="processes (default 2)")
-    parser.add_argument("--quick", action="store_true", help="every third flight, every other order, 10 seeds")
+    parser.add_argument("--quick", action="store_true", help="every third flight, 10 seeds")
     parser.add_argument("--list", action="store_true", help="print the names of the scenarios")
     parser.add_argument("--out", type=Path, default=OUT, help="folder of the results (default out/campaign)")
     arguments = parser.parse_args()
-    if unknown := [w for w in arguments.scenarios or [] if not any(n.startswith(w) for n in [*FLIGHTS, *ORDERS])]:
+    if unknown := [w for w in arguments.scenarios or [] if not any(n.startswith(w) for n in FLIGHTS)]:
         parser.error(f"no scenario begins with {', '.join(unknown)}; --list prints them")
     return arguments
 
@@ -85,16 +73,16 @@ def positive(text: str) -> int:
 
 def chosen(beginnings: Sequence[str] | None) -> set[str]:
     """Names that begin with one of these; all of them by default."""
-    return {name for name in [*FLIGHTS, *ORDERS] if beginnings is None or name.startswith(tuple(beginnings))}
+    return {name for name in FLIGHTS if beginnings is None or name.startswith(tuple(beginnings))}
 
 
-def run_all(jobs: dict[tuple[str, int], Callable[[], T]], processes: int) -> dict[tuple[str, int], T]:
-    """What each job returns; one that fails stops everything, with its name and seed."""
+def run_all(jobs: list[tuple[str, int]], processes: int) -> dict[tuple[str, int], campaign_runs.Score]:
+    """The score of each flight and seed; one that fails stops everything, with its name and seed."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    results: dict[tuple[str, int], T] = {}
+    results: dict[tuple[str, int], campaign_runs.Score] = {}
     with Progress(*columns) as progress, ProcessPoolExecutor(processes) as pool:
         bar = progress.add_task("flights", total=len(jobs))
-        futures = {pool.submit(job): key for key, job in jobs.items()}
+        futures = {pool.submit(fly, *job): job for job in jobs}
         for future in as_completed(futures):
             name, seed = futures[future]
             try:
@@ -106,22 +94,20 @@ def run_all(jobs: dict[tuple[str, int], Callable[[], T]], processes: int) -> dic
     return results
 
 
-def write(out: Path, results: list[Result], orders: list[OrderResult]) -> None:
+def write(out: Path, results: list[Result]) -> None:
     """Tables to the terminal, everything to files."""
     matched, mismatched = [r for r in results if r.matched], [r for r in results if not r.matched]
-    tables = [campaign_report.verdict(results, orders)]
+    tables = [campaign_report.verdict(results)]
     if matched:
         tables.append(campaign_report.flight_table("Matched sensors", matched))
         tables += [campaign_report.phase_table(matched), campaign_report.worst_table(matched)]
-    if orders:
-        tables.append(campaign_report.order_table(orders))
     if mismatched:
         tables.append(campaign_report.flight_table("Sensors that do not match the model (figures only)", mismatched))
     out.mkdir(parents=True, exist_ok=True)
     if matched:
         campaign_report.figure(matched, out / "campaign.png")
     (out / "report.md").write_text(campaign_report.markdown(tables, picture=bool(matched)), encoding="utf-8")
-    (out / "results.json").write_bytes(msgspec.json.format(msgspec.json.encode({"flights": results, "orders": orders}), indent=1))
+    (out / "results.json").write_bytes(msgspec.json.format(msgspec.json.encode({"flights": results}), indent=1))
     console = Console()
     console.width = max(console.width, 140)
     for table in tables:

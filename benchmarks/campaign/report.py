@@ -7,7 +7,6 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 
-from benchmarks.campaign.order import OrderResult
 from benchmarks.campaign.runs import BLOCKS, PARTS
 from benchmarks.campaign.statistics import Consistency, Efficiency, Result, pooled_nees, pooled_ratio
 from benchmarks.tables import Table
@@ -31,12 +30,11 @@ The filter aligns by itself: from pose fixes; GNSS flights have them for the fir
 the biases are the grade's turn-on values, so they are the truth's distribution; that of the velocity (10 m/s) is not, and scoring
 begins 99 s later, when it is forgotten. Levelling at rest is switched off, so that the bound can begin at the first pose fix
 with exactly the filter's covariance (for GNSS alone: with a diffuse one). Gates and fault logic are as by default; of what the
-sensors do, the filter is configured with the noise of the IMU's grade and, in matched flights, that GNSS has no slow error. Late
-fixes are judged with all defaults.
+sensors do, the filter is configured with the noise of the IMU's grade and, in matched flights, that GNSS has no slow error.
 """
 
 
-def verdict(results: Sequence[Result], orders: Sequence[OrderResult]) -> Table:
+def verdict(results: Sequence[Result]) -> Table:
     """What the campaign is for, against its aims."""
     rows: list[tuple[str, str, str]] = []
     matched = [r for r in results if r.matched]
@@ -55,13 +53,6 @@ def verdict(results: Sequence[Result], orders: Sequence[OrderResult]) -> Table:
             ("lost for another reason", str(sum(r.lost for r in matched)), "0"),
             ("instants without an estimate", str(sum(r.missing for r in matched)), "0"),
             ("internal errors", str(sum(r.internal for r in results)), "0"),
-        ]
-    if orders:
-        runs, fixes = sum(o.runs for o in orders), sum(o.fixes for o in orders)
-        rows += [
-            ("late fixes: gated", f"{sum(o.gated for o in orders) / fixes:.3%} of {fixes}", f"<= {AIM_GATED:.1%}"),
-            ("late fixes: lost for age or order", str(sum(o.lost for o in orders)), "0"),
-            ("late fixes: end identical to the bit", f"{sum(o.identical for o in orders)} of {runs} runs", "all"),
         ]
     return Table("Verdict (matched sensors)", ("what", "measured", "aim"), rows)
 
@@ -110,24 +101,6 @@ def beyond(cell: Consistency) -> float:
     """How far outside its 95 % band, in half widths of it; 0 inside."""
     low, high = cell.band95
     return max(low - cell.mean, cell.mean - high, 0.0) / (0.5 * (high - low))
-
-
-def order_table(orders: Sequence[OrderResult]) -> Table:
-    """Late fixes."""
-    columns = ("source", "runs", "aligned", "measurements", "gated", "lost", "end identical")
-    rows = [
-        (
-            o.name,
-            str(o.runs),
-            str(o.aligned),
-            str(o.fixes),
-            f"{o.gated / o.fixes:.2%}",
-            str(o.lost),
-            f"{o.identical / o.runs:.0%}",
-        )
-        for o in orders
-    ]
-    return Table("Late by 0-5 s each, out of order, against punctual", columns, rows)
 
 
 def ratios(cells: Sequence[Efficiency]) -> str:

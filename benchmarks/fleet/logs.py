@@ -15,7 +15,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from benchmarks.flights.tasks import Task, Thin, data_folder, flights, make, thinned
+from benchmarks.flights.tasks import Task, data_folder, flights, make, thinned
 from logs.store.reader import LogReader, Record
 from logs.store.recorder import CONFIG_ATTACHMENT, Recorder
 from logs.wire import schemas
@@ -54,7 +54,7 @@ def _bases(group: str, every: int, folder: Path) -> Iterator[Path]:
     for flight in flights(group)[:_FLIGHTS]:
         task = make(Task(group, flight, "N", 0), folder)
         if task is not None:
-            yield thinned(task, Thin(every=every)) if every > 1 else task
+            yield thinned(task, every) if every > 1 else task
 
 
 @cache

@@ -4,22 +4,18 @@ python -m benchmarks.flights.real                              everything (make 
 python -m benchmarks.flights.real --quick                      one seed, every third flight
 python -m benchmarks.flights.real --scenarios AX --sets euroc --naive
 python -m benchmarks.flights.real --gnss                       only the flights with GNSS
-python -m benchmarks.flights.real --scenarios AB --sets euroc --imu-every 4        with every fourth IMU sample (--imu-mean: mean)
 python -m benchmarks.flights.real --scenarios AL --sets quad --config tuned.toml   with another noise than the tasks tell
 """
 
 import argparse
 import json
-import os
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
 from benchmarks.flights import gnss, tables
 from benchmarks.flights.runs import NAIVE, OURS, Job, run
-from benchmarks.flights.tasks import ROOT, SETS, VISION, Thin, data_folder, tasks
+from benchmarks.flights.tasks import ROOT, SETS, VISION, data_folder, tasks
+from benchmarks.jobs import run_jobs
 from benchmarks.tables import Table
 
 FLIGHT_SCENARIOS = "NABDLFXCG"
@@ -37,9 +33,11 @@ def main() -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     estimators = (NAIVE,) if args.naive_only else (OURS, NAIVE) if args.naive else (OURS,)
     sigma = (args.vision_sigma[0], args.vision_sigma[1])
-    imu, config = Thin(args.imu_every, args.imu_gap, args.imu_mean), str(args.config or "")
-    jobs = [Job(task, estimators, sigma, imu, config) for task in tasks(args.sets, scenarios, seeds, every)]
-    runs = run_all(jobs, args.out, args.jobs) if jobs else []
+    config, folder = str(args.config or ""), str(args.out)
+    jobs = [Job(task, estimators, sigma, config, folder) for task in tasks(args.sets, scenarios, seeds, every)]
+    kept = args.out / "runs.jsonl"
+    found = run_jobs(jobs, run, list[dict[str, Any]], kept, processes=args.jobs, resume=args.resume) if jobs else []
+    runs = [result for results in found for result in results]
     report = [table.markdown() for table in report_tables(runs)]
     if runs:
         (args.out / "results.json").write_text(json.dumps(runs, indent=1))
@@ -61,12 +59,10 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--naive-only", action="store_true", help="the plain filter alone")
     parser.add_argument("--vision", action="store_true", help="only real vision estimates as fixes (and --scenarios)")
     parser.add_argument("--vision-sigma", nargs=2, type=float, default=[0.1, 1.5], metavar=("M", "DEG"))
-    parser.add_argument("--imu-every", type=int, default=1, metavar="N", help="every n-th IMU sample alone, not averaged")
-    parser.add_argument("--imu-mean", action="store_true", help="the mean of each n IMU samples in place of every n-th")
-    parser.add_argument("--imu-gap", type=float, default=0.0, metavar="S", help="no IMU samples for so long in each second")
     parser.add_argument("--config", type=Path, metavar="TOML", help="in place of the tasks' own, such as what landfix tune wrote")
     parser.add_argument("--gnss", action="store_true", help="only the flights with GNSS (and --scenarios)")
     parser.add_argument("--quick", action="store_true", help="one seed, every third flight")
+    parser.add_argument("--resume", action="store_true", help="go on where the last run ended")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "bench_real")
     return parser.parse_args()
 
@@ -76,25 +72,6 @@ def scenario_letters(text: str) -> str:
     if unknown:
         raise argparse.ArgumentTypeError(f"no scenario {', '.join(sorted(unknown))}: letters out of {''.join(tables.SCENARIOS)}")
     return text
-
-
-def run_all(jobs: list[Job], out: Path, processes: int) -> list[dict[str, Any]]:
-    """Results in the order of the jobs; a run that fails stops everything, with the name of its task."""
-    os.environ["OMP_NUM_THREADS"] = "1"  # inherited: one thread a process
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    results: dict[Job, list[dict[str, Any]]] = {}
-    with Progress(*columns) as progress, ProcessPoolExecutor(processes) as pool:
-        bar = progress.add_task("flights", total=len(jobs))
-        futures = {pool.submit(run, job, out): job for job in jobs}
-        for future in as_completed(futures):
-            job = futures[future]
-            try:
-                results[job] = future.result()
-            except Exception as error:
-                pool.shutdown(cancel_futures=True)
-                raise RuntimeError(f"{job.task.name} failed") from error
-            progress.update(bar, advance=1, description=f"{job.task.name:34}")
-    return [result for job in jobs for result in results[job]]
 
 
 def report_tables(runs: list[dict[str, Any]]) -> list[Table]:

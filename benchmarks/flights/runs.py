@@ -6,13 +6,13 @@ import time
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 
 from benchmarks.flights import naive_filter
 from benchmarks.flights.naive_filter import NaiveFilter
-from benchmarks.flights.tasks import Task, Thin, make, score, thinned
+from benchmarks.flights.tasks import Task, make, score
 from estimator.config import load
 from estimator.replay.replay import replay
 from logs.store.reader import LogReader
@@ -24,26 +24,22 @@ from models.messages import ImuSample
 OURS, NAIVE = "landfix", "naive"
 
 
-class Job(msgspec.Struct, frozen=True):
-    """A task for one or more estimators. vision_sigma: m, degrees, configured for real vision fixes.
-
-    imu: which of its samples are left; config: file in place of the task's own.
-    """
+class Job(NamedTuple):
+    """A task for one or more estimators. vision_sigma: m, degrees, of vision fixes; config: in place of the task's own."""
 
     task: Task
-    estimators: tuple[str, ...] = (OURS,)
-    vision_sigma: tuple[float, float] = (0.1, 1.5)
-    imu: Thin = Thin()
-    config: str = ""
+    estimators: tuple[str, ...]
+    vision_sigma: tuple[float, float]
+    config: str
+    folder: str
 
 
-def run(job: Job, folder: Path) -> list[dict[str, Any]]:
+def run(job: Job) -> list[dict[str, Any]]:
     """Make the task, run each estimator over it, score it; nothing if the flight is too short for the scenario."""
+    folder = Path(job.folder)
     task_file = make(job.task, folder / "tasks", job.vision_sigma)
     if task_file is None:
         return []
-    if job.imu != Thin():
-        task_file = thinned(task_file, job.imu)
     config = Path(job.config) if job.config else task_file.with_suffix(".toml")
     return [_scored(job.task, name, task_file, config, folder) for name in job.estimators]
 

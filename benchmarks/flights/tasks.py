@@ -116,59 +116,28 @@ def make(task: Task, folder: Path, vision_sigma: tuple[float, float] = (0.1, 1.5
     return path
 
 
-class Thin(msgspec.Struct, frozen=True):
-    """Of the IMU every n-th sample is left, or the mean of n, stamped in their middle; and none of gap_s in each second."""
-
-    every: int = 1
-    gap_s: float = 0.0
-    averages: bool = False
-
-
-def thinned(task_file: Path, thin: Thin) -> Path:
-    """The task with fewer IMU samples."""
-    kind = "mean" if thin.averages else "every"
-    path = task_file.with_stem(f"{task_file.stem}-{kind}-{thin.every}-gap-{thin.gap_s:g}")
+def thinned(task_file: Path, every: int) -> Path:
+    """The task with every n-th IMU sample."""
+    path = task_file.with_stem(f"{task_file.stem}-every-{every}")
     if path.with_suffix(".toml").exists():  # written last
         return path
-    channels: dict[int, int] = {}
-    count, held = 0, list[Any]()
+    channels, count = dict[int, int](), 0
     with task_file.open("rb") as source, path.open("wb") as target:
         writer = Writer(target)
         writer.start(profile="ros2")
         for schema, channel, m in make_reader(source).iter_messages(log_time_order=False):
-            data = m.data
             if channel.topic == "/imu":
                 count += 1
-                if 0.5 < (m.log_time - tool().EPOCH_NS) * 1e-9 % 1.0 < 0.5 + thin.gap_s:
-                    continue
-                if thin.averages:
-                    held.append(tool().STORE.deserialize_cdr(data, TYPES["/imu"]))
-                    if len(held) < thin.every:
-                        continue
-                    data = _mean(held)
-                    held.clear()
-                elif (count - 1) % thin.every:
+                if (count - 1) % every:
                     continue
             if schema is not None and channel.id not in channels:
                 schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
                 channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, schema_id)
-            writer.add_message(channels[channel.id], m.log_time, data, m.publish_time)
+            writer.add_message(channels[channel.id], m.log_time, m.data, m.publish_time)
         writer.finish()  # type: ignore[no-untyped-call]
     for suffix in (".json", ".toml"):
         path.with_suffix(suffix).write_text(task_file.with_suffix(suffix).read_text())
     return path
-
-
-def _mean(samples: list[Any]) -> bytes:
-    """The mean of sensor_msgs/Imu, at the mean of their stamps; the covariances are of the first."""
-    mean, ends = samples[0], (samples[0].header.stamp, samples[-1].header.stamp)
-    t_ns = sum(stamp.sec * 1_000_000_000 + stamp.nanosec for stamp in ends) // 2
-    for part in ("angular_velocity", "linear_acceleration"):
-        for axis in "xyz":
-            value = float(np.mean([getattr(getattr(m, part), axis) for m in samples]))
-            setattr(getattr(mean, part), axis, value)
-    mean.header.stamp.sec, mean.header.stamp.nanosec = divmod(t_ns, 1_000_000_000)
-    return bytes(tool().STORE.serialize_cdr(mean, TYPES["/imu"]))
 
 
 def _exchange_fixes(base: Path, out: Path, task: Task, sigma_m: float, sigma_deg: float) -> None:

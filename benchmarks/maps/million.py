@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.maps.test_load import SPACING_M
 from estimator.map_files import store as map_store
 from estimator.tools.maps.ambiguity import marked
 from estimator.tools.maps.check import check
@@ -24,6 +23,7 @@ from models.messages import Vec3
 
 _ORIGIN: Vec3 = (47.0, 8.0, 400.0)
 _PLACES = 1000  # asked for
+_SPACING_M = 40.0
 
 
 def write_source(path: Path, count: int) -> str:
@@ -34,7 +34,7 @@ def write_source(path: Path, count: int) -> str:
     half, turn = 0.5 * rng.uniform(6.0, 20.0, (count, 1, 2)), rng.uniform(0.0, math.pi, count)
     corners = half * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)])
     R = np.stack((np.cos(turn), np.sin(turn), -np.sin(turn), np.cos(turn)), axis=1).reshape(-1, 2, 2)
-    places = SPACING_M * (np.column_stack(np.divmod(np.arange(count), side)) - side / 2) + rng.uniform(-8.0, 8.0, (count, 2))
+    places = _SPACING_M * (np.column_stack(np.divmod(np.arange(count), side)) - side / 2) + rng.uniform(-8.0, 8.0, (count, 2))
     lonlat = ((corners @ R + places[:, None]) / per_deg + (_ORIGIN[1], _ORIGIN[0])).round(7).reshape(count, -1).tolist()
     levels = rng.integers(1, 4, count).tolist()
     with path.open("w", encoding="ascii") as file:
@@ -73,7 +73,7 @@ def ask(path: Path) -> str:
     begin = time.process_time()
     the_map = map_store.load(path)
     loaded = time.process_time() - begin
-    edge = 0.4 * SPACING_M * math.sqrt(len(the_map))
+    edge = 0.4 * _SPACING_M * math.sqrt(len(the_map))
     places = np.random.default_rng(0).uniform(-edge, edge, (_PLACES, 2)).tolist()
     the_map.near(0.0, 0.0, 100.0)  # compiled
     begin = time.process_time()

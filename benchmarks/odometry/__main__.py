@@ -1,6 +1,6 @@
 """Visual odometry alone, without a filter: drift, covariance, lost steps, false motion, time.
 
-python -m benchmarks.odometry                        everything, an hour of one core (moving and scale most of it)
+python -m benchmarks.odometry                        everything, ten minutes of one core
 python -m benchmarks.odometry recorded faults        one table or several
 python -m benchmarks.odometry --draw DIR             the tracks of a few steps as PNG, in addition
 
@@ -17,8 +17,7 @@ import cv2
 import numpy as np
 
 from benchmarks.flights.tasks import data_folder
-from benchmarks.odometry import moving, scale, sets
-from benchmarks.odometry import outage as outages
+from benchmarks.odometry import sets
 from benchmarks.odometry.score import Scored, run
 from benchmarks.tables import Table, number
 from models.messages import Array
@@ -149,36 +148,8 @@ def _held(left: Image, right: Image) -> Callable[[], tuple[Image, Image]]:
     return lambda: (left, right)
 
 
-def outage() -> list[Table]:
-    """Estimator and visual odometry together on real images and IMU."""
-    if not (data_folder() / "odometry").is_dir():
-        return []
-    columns = (
-        "s after the last fix",
-        "without: error m",
-        "1-sigma",
-        "with odometry: error m",
-        "1-sigma",
-        "4 s dark: error m",
-        "1-sigma",
-    )
-    return [Table("Outage, EuRoC MH_01 hand-held, through the estimator", columns, outages.run(OUT / "outage"))]
-
-
-def moving_scenes() -> list[Table]:
-    """Outages over scenes of which half moves, estimator and visual odometry together; each scene by itself."""
-    ends = [end for number in range(moving.SCENES) for end in moving.run(moving.drawn(number))]
-    return [moving.table(ends)]
-
-
-def scales() -> list[Table]:
-    """Outages with a rig drawn from its covariance; each flight by itself."""
-    return [scale.table(end for number in range(scale.FLIGHTS) for end in scale.run(number))]
-
-
 TABLES = {
-    "recorded": recorded, "rendered": rendered, "faults": faults, "motion": motion, "moving": moving_scenes, "scale": scales,
-    "speed": speed, "outage": outage,
+    "recorded": recorded, "rendered": rendered, "faults": faults, "motion": motion, "speed": speed,
 }  # fmt: skip
 
 

@@ -21,7 +21,6 @@ import msgspec
 from numba.core import event
 from numba.core.dispatcher import Dispatcher
 
-from benchmarks.speed.compile_time import Compilations
 from estimator.service.base import compilation
 from estimator.tools import kernels
 
@@ -37,6 +36,28 @@ class Row(msgspec.Struct, frozen=True):
     peak_mb: float
     compiled: list[tuple[str, str, float]]
     calls: dict[str, int]
+
+
+class Compilations(event.Listener):
+    """Listens to numba: seconds of the processor of each (kernel, signature), without what is compiled inside it."""
+
+    def __init__(self) -> None:
+        self.spent: dict[tuple[str, str], float] = defaultdict(float)
+        self._open: list[tuple[float, float]] = []  # start, and what was compiled inside
+
+    def on_start(self, event: Any) -> None:  # noqa: ARG002
+        """One begins, perhaps inside another."""
+        self._open.append((time.process_time(), 0.0))
+
+    def on_end(self, event: Any) -> None:
+        """It is done, or has failed."""
+        start, inner = self._open.pop()
+        whole = time.process_time() - start
+        kernel = event.data["dispatcher"].py_func
+        self.spent[f"{kernel.__module__}.{kernel.__qualname__}", ", ".join(map(str, event.data["args"]))] += whole - inner
+        if self._open:
+            outer, so_far = self._open[-1]
+            self._open[-1] = outer, so_far + whole
 
 
 class Watched:
