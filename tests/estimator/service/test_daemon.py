@@ -1,6 +1,8 @@
 """The daemon from the outside: sensors over Zenoh in, estimates out, and a log that says the same again."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +35,7 @@ from tests.estimator.service.flying import (
 )
 
 SECOND = 1_000_000_000
+EXAMPLES = Path(__file__).parents[3] / "examples" / "zenoh"
 
 
 @pytest.fixture(scope="module")
@@ -115,12 +118,22 @@ def test_ros_sees_the_node_and_its_topics(flown: tuple[Path, str, dict[str, int]
     assert "/landfix/tick" not in subscribed
 
 
-def test_with_no_log_it_flies_as_well(tmp_path: Path) -> None:
+def test_with_no_log_it_flies_as_well_and_both_examples_work(tmp_path: Path) -> None:
     port = free_port()
     text = toml(tmp_path, port, more="enabled = false\n[service]\nstate_file = ''")
+    publish, subscribe = ([sys.executable, str(EXAMPLES / f"{name}.py")] for name in ("publish", "subscribe"))
+    endpoint = f"tcp/127.0.0.1:{port}"
     with in_thread(parse(text), tmp_path), client(port) as session:
-        vehicle = fly(session, 1.5)
+        subprocess.run([*publish, "0", "30", "40", "90", endpoint], check=True, timeout=180.0)
+        until(lambda: status(session).get("zenoh received") == "1", "the fix of the example is received")
+        with subprocess.Popen([*subscribe, "3", endpoint], stdout=subprocess.PIPE, text=True) as listener:
+            for _ in range(20):
+                vehicle = fly(session, 1.5)
+                if listener.poll() is not None:
+                    break
+            printed, _ = listener.communicate(timeout=5.0)
     assert len(vehicle.latency_ns) > 50
+    assert printed.count("one sigma") == 3
     assert list(tmp_path.iterdir()) == []
 
 
