@@ -20,6 +20,7 @@ from estimator.service.autopilot.output_policy import AutopilotConfig, OutputPol
 from estimator.service.base.clock import SECOND_NS, Clock, ClockConfig, Stamps
 from estimator.service.base.mailbox import Mailbox
 from estimator.service.base.ports import Arrival, Outbox
+from estimator.service.base.priority import precede
 from estimator.service.base.status import Status
 from estimator.service.console import Console
 from estimator.service.daemon import Daemon, ServiceConfig
@@ -93,6 +94,7 @@ def run(config: RunConfig, folder: Path, *, quiet: bool = False) -> None:
 
     Raises ConfigError, FolderError or BusError before the start only.
     """
+    precede()
     notifier = Notifier()
     with (
         Console(quiet=quiet) as console,

@@ -13,7 +13,7 @@ from mcap.writer import MCAP0_MAGIC as MAGIC
 FILE_MODE, FOLDER_MODE = 0o640, 0o750  # of what the daemon creates: where it flew is not for everybody; a stricter umask stays
 _SCRIPT: Final = """\
 import fcntl, os, sys
-os.nice(19)
+os.setpriority(os.PRIO_PROCESS, 0, 19)
 os.umask(0o027 | os.umask(0o027))
 from pathlib import Path
 from estimator.service.log.recovery import is_torn

@@ -1,5 +1,6 @@
 """What may happen to the process: killed, stopped, asked to stop. The estimate goes on, the log has all but the last instant."""
 
+import os
 import resource
 import signal
 import subprocess
@@ -44,6 +45,7 @@ def test_after_kill_9_the_log_is_whole_and_the_estimate_goes_on_where_it_was(tmp
     with as_process(text, tmp_path, port) as first, client(port) as session:
         vehicle = Vehicle(session, seed=1)
         vehicle.fly(3.0, 200.0, gnss_hz=5.0, fix_hz=5.0, image_hz=0.0)
+        assert os.getpriority(os.PRIO_PROCESS, first.pid) == _precedence()
         first.kill()
         killed_ns = time.time_ns()
     (torn,) = torn_logs(tmp_path / "logs")
@@ -64,6 +66,13 @@ def test_after_kill_9_the_log_is_whole_and_the_estimate_goes_on_where_it_was(tmp
     assert_sound(before, after)
     assert_replay_says_the_same(before, text, torn=True)
     assert_replay_says_the_same(after, text, torn=True)
+
+
+def _precedence() -> int:
+    """The nice value that the daemon asks for, or ours where nobody may ask."""
+    ours = os.getpriority(os.PRIO_PROCESS, 0)
+    refused = subprocess.run(["nice", "-n", str(-10 - ours), "true"], capture_output=True, check=False).stderr
+    return ours if refused else -10
 
 
 def test_a_process_that_was_stopped_for_three_seconds_goes_on(tmp_path: Path) -> None:
