@@ -1,8 +1,8 @@
-"""The estimator: an error-state Kalman filter for rare, late or missing absolute fixes.
+"""An error-state Kalman filter for rare, late or missing fixes.
 
     fusion.Fusion.handle(message) -> outputs
 
-Below `fusion` there is no I/O, no clock and no thread. May import logs, calib, vision and models.
+No I/O, clock or thread below `fusion`. May import logs, calib, vision, models.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""python -m estimator: the command line without an installed entry point."""
+"""python -m estimator."""
 
 from estimator.cli import main
 

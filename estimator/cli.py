@@ -1,4 +1,4 @@
-"""landfix: the command line. Exit codes: 0 done, 1 failed (one line on stderr says why), 2 wrong usage."""
+"""The command line `landfix`; exit codes: 0 done, 1 failed, 2 wrong usage."""
 # ruff: noqa: D301  (\b keeps line breaks in help)
 
 import os
@@ -37,7 +37,7 @@ _OURS = frozenset({"estimator", "logs", "models", "vision", "calib"})
 
 
 class OneLineErrors(Group):
-    """Errors inside a command: one line and exit code 1; LANDFIX_DEBUG=1 or --debug lets them through."""
+    """Errors in a command: one line, exit code 1, unless LANDFIX_DEBUG=1 or --debug."""
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""

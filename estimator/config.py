@@ -1,4 +1,4 @@
-"""The configuration: TOML sections -> parameter structs (`landfix doctor --config --all` prints all keys)."""
+"""The configuration: TOML sections -> parameter structs."""
 
 import re
 from pathlib import Path

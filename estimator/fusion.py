@@ -1,6 +1,4 @@
-"""The estimator without I/O, clock or threads, messages in, estimates and reports out: one object for daemon, replay, simulation
-and tests.
-"""
+"""The estimator, messages in, estimates out: one object for daemon, replay, simulation, tests."""
 
 import math
 from collections.abc import Callable
@@ -76,7 +74,7 @@ class FusionConfig(FilterConfig, frozen=True, kw_only=True):
 
 
 class Fusion:
-    """`handle(message)` is everything; it never raises: defects are counted, reported, survived."""
+    """`handle(message)` never raises: defects are counted, reported, survived."""
 
     def __init__(self, config: FusionConfig) -> None:
         self._config = config
@@ -138,7 +136,7 @@ class Fusion:
         )
 
     def catch_up(self) -> None:
-        """Work in some late measurements after the output; the result is the same as at the next message."""
+        """Work in late measurements; the result is that of the next message."""
         self._history.catch_up()
 
     def _begin(self, checkpoint: Checkpoint | None = None) -> History:

@@ -1,7 +1,6 @@
-"""TOML <-> parameter structs, strictly: unknown keys, wrong types or ranges and infinities are refused.
+"""TOML <-> parameter structs, strictly.
 
-Fields: `Annotated[float, msgspec.Meta(gt=0, description="m/s: what it means")]`; the unit is before the colon, or the name's
-suffix (`history_s`).
+Fields: `Annotated[float, msgspec.Meta(gt=0, description="m/s: what it means")]`; unit before the colon, or the name's suffix.
 """
 
 import difflib

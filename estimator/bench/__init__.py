@@ -1,4 +1,3 @@
-"""Benchmarks for users: recognition of landmarks, compared with other methods.
-
-May import estimator.frontend and the layers below it, logs, vision and models.
+"""Recognition of landmarks, compared with other methods. May import estimator.frontend and the layers below it, logs, vision,
+models.
 """

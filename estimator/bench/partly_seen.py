@@ -1,4 +1,4 @@
-"""How much of each roof an image shows, and towers that hide a part of some."""
+"""Visible shares of roofs, and towers that hide some."""
 
 import math
 from dataclasses import replace

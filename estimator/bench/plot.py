@@ -1,4 +1,4 @@
-"""The result of a recognition run as a picture: shares recognised and wrong, and what a frame costs."""
+"""A recognition run as a picture."""
 
 from collections.abc import Sequence
 from typing import Final

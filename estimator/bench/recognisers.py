@@ -1,6 +1,6 @@
 """Landmark recognition by landfix, the plain method of the thesis, and SIFT + FLANN.
 
-Recognised: named, position agrees with the truth. Wrong: misnamed, or position contradicts. Silent: gets the next pair.
+Recognised: named, in place. Wrong: misnamed, or out of place. Silent: gets the next pair.
 """
 
 import itertools
@@ -78,7 +78,7 @@ def landfix(sample: Sample, config: PipelineConfig | None = None, timed: bool = 
 
 
 def judged(result: Result, sample: Sample, cpu_ms: float | None) -> Answer:
-    """By the truth of the moment."""
+    """By the present truth."""
     if result.fix is None:
         return Answer("silent", cpu_ms, None, f"{result.report.outcome}: {result.report.detail}")
     p_n, covariance = fused(sample.prior, result.fix)
@@ -152,9 +152,8 @@ def sift_points(image: Image) -> Looked:
 
 
 def sift_and_flann(sample: Sample, looked: Looked, surroundings: bool) -> Answer:
-    """The left image against the landmark's reference: ratio 0.75, RANSAC homography at 3 px, >= 10 inliers.
-
-    From keypoints on the roof alone, or with its surroundings; none without a reference.
+    """SIFT of the left image against the landmark's reference (roof alone, or with surroundings): ratio 0.75, RANSAC homography
+    at 3 px, >= 10 inliers.
     """
     if sample.reference is None:
         return Answer("silent", None, None, "no image of the landmark")

@@ -40,7 +40,7 @@ class Trial(msgspec.Struct, frozen=True):
 
 
 class Row(msgspec.Struct, frozen=True):
-    """One method in one experiment; by_pair: recognised from the first pair, the first two, ...; cpu: one core.
+    """One method in one experiment; by_pair: recognised from the first pairs;
 
     wrong_below, recognised_above: 95 % bounds.
     """

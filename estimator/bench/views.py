@@ -1,4 +1,4 @@
-"""Samples for the thesis' four experiments: world, map and rig with errors, image pair, landmark.
+"""Samples for the thesis' four experiments.
 
 draw(experiment, roof, seed, number) -> Sample
 """
@@ -79,7 +79,7 @@ class Sample:
 
 
 def draw(experiment: Experiment, roof: Roof, seed: int, number: int, attempt: int = 0) -> Sample:
-    """Sample `number`; worlds and poses are drawn until one fits the experiment."""
+    """Sample `number`, redrawn until it fits the experiment."""
     numbers = (seed, EXPERIMENTS.index(experiment), ROOFS.index(roof), number, attempt)
     rng = np.random.default_rng(numbers)
     scene, p_n, R_nb, seen = _shown(experiment, roof, rng)

@@ -1,4 +1,4 @@
 """One file a command: arguments, the call, output.
 
-Heavy imports stand inside the functions, for a fast `landfix --help`. May import everything but cli.
+Heavy imports stand inside functions. May import everything but cli.
 """

@@ -1,6 +1,6 @@
-"""The error-state Kalman filter, run again from a checkpoint for late measurements.
+"""The error-state Kalman filter with rewind.
 
     tracker (one state, one step) <- history (order by validity, exact rewind) <- fusion
 
-Pure: no I/O, no clock, no thread. Begin with `history` and `eskf`. May import estimator.sources and models.
+Pure. Begin with `history`, `eskf`. May import estimator.sources, models.
 """

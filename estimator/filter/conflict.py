@@ -56,7 +56,7 @@ class Apart(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Conflicts:
-    """apart: sources in lasting disagreement with the estimate, by topic.
+    """apart: sources in lasting disagreement, by topic.
 
     contrary_ns: last rejected velocity of a receiver, by the topic of its positions.
     """

@@ -1,4 +1,4 @@
-"""Fixes that agree with one another but with no hypothesis: the IMU is wrong (docs/decision.md).
+"""Fixes that agree with one another but no hypothesis: a wrong IMU (docs/decision.md).
 
 Their path is flyable where
 
@@ -74,5 +74,5 @@ def direction(nu: Array, s: Array) -> tuple[float, ...]:
 
 
 def persists(before: tuple[float, ...], now: tuple[float, ...]) -> bool:
-    """Whether two innovations point the same way: those of noise do not, those of a wrong IMU do."""
+    """Whether two innovations point the same way, as those of a wrong IMU."""
     return len(before) == len(now) and sum(a * b for a, b in zip(before, now, strict=True)) > _SAME_WAY

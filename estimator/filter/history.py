@@ -58,7 +58,7 @@ class History:
         self.quiet: Quiet | None = None  # where the next sample has nothing to do but to be gone through
 
     def from_last_sound(self) -> "History | None":
-        """A history from the newest sound checkpoint with the IMU samples, no aid; or None."""
+        """From the newest sound checkpoint with the IMU samples, no aid; or None."""
         for tracker in reversed(self._checkpoints):
             if tracker.is_sound:
                 return History(tracker.copy(), self._span_ns * 1e-9, self.samples)
@@ -178,7 +178,7 @@ class History:
         return max(1, interval_ns // measurement_ns, self._waiting(self.tracker.core.t_ns + _PACE * interval_ns))
 
     def catch_up(self) -> None:
-        """Work in a slice of late measurements, behind every output of `advance`."""
+        """Work in a slice of late measurements."""
         if not self._due:
             return
         self._due = False

@@ -21,8 +21,8 @@ _NO_RATE = np.zeros(3)
 
 
 class ImuEvidence:
-    """since: start of the rest, with its heading; refuted: positions showed motion so often since the IMU did; same: last value
-    of a sensor and since when, by topic.
+    """since: start of the rest; refuted: positions that showed motion since the IMU did; same: last value and since when, by
+    topic.
     """
 
     def __init__(self, core: Core) -> None:

@@ -23,10 +23,10 @@ class ErrorStateKalman:
         self._filter.inv = cholesky.inverse  # of S, symmetric and small
 
     def update(self, cov: Array, nu: Array, h: Array, noise: Array) -> tuple[Array, Array, Array]:
-        """Error dx (n,), posterior covariance (n, n), symmetric, and the gain K (n, m).
+        """Error dx (n,), posterior covariance (n, n), gain K (n, m).
 
-        cov: (n, n) prior; nu: (m,); h: (m, n); noise: (m, m).
-        Raises ValueError where a shape does not fit; numpy.linalg.LinAlgError where S is not positive definite.
+        cov: (n, n); nu: (m,); h: (m, n); noise: (m, m). Raises ValueError for a shape; numpy.linalg.LinAlgError: S not positive
+        definite.
         """
         m, n = len(nu), self._size
         if nu.shape != (m,) or h.shape != (m, n) or noise.shape != (m, m) or cov.shape != (n, n):

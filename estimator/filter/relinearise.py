@@ -51,8 +51,7 @@ class Taken(NamedTuple):
 class Stretch:
     """x (16,) and cov (n, n), slow errors included, at the start, and the measurements since.
 
-    Last run: path; sigma (9,) of attitude and biases after it; run_at: number of measurements; moved_at: that of the last run
-    with an effect.
+    Last run: path; sigma (9,) of attitude and biases; run_at: measurements; moved_at: those of the last run with an effect.
     """
 
     t_ns: int
@@ -92,7 +91,7 @@ class Stretch:
 
     @property
     def is_settled(self) -> bool:
-        """The linear filter may go on alone: attitude known, no change by a run for half of the stretch."""
+        """Attitude known, no change by a run for half of the stretch."""
         known = self.sigma is not None and bool((self.sigma[_ATTITUDE] < _ATTITUDE_KNOWN).all())
         return known and self.run_at >= 2 * self.moved_at > 0
 
@@ -116,10 +115,7 @@ class Link:
 
 
 def relinearise(stretch: Stretch, found: Eskf, samples: ImuBuffer) -> tuple[Eskf, Stretch] | None:
-    """The filter at the last measurement, relinearised, and the stretch with the run; None where it does not converge.
-
-    found: the filter that processed the stretch in flight.
-    """
+    """The relinearised filter, and the stretch with the run; None: no convergence."""
     path = _extended(stretch, found, samples) if stretch.path else _first_path(stretch, found, samples)
     before = None
     for _ in range(_PASSES):
@@ -139,7 +135,7 @@ def relinearise(stretch: Stretch, found: Eskf, samples: ImuBuffer) -> tuple[Eskf
 def with_estimated(end: Eskf, found: Eskf, stretch: Stretch) -> Eskf:
     """Add to a run's result the air sensors' blocks of `found` that the stretch does not carry.
 
-    Zeros (barometer) are found again: kept, they would follow the run's height.
+    Zeros (barometer) are found again.
     """
     if WIND not in found.slow.columns:
         return end

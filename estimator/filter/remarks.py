@@ -1,4 +1,4 @@
-"""What makes a published estimate less certain than configured, in one sentence each: for health and AidStatus."""
+"""Why an estimate is less certain than configured, a sentence each."""
 
 import math
 from collections.abc import Iterable, Mapping

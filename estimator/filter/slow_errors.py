@@ -1,4 +1,4 @@
-"""Errors that repeat from fix to fix, behind the 15 states: named blocks of first-order Gauss-Markov processes."""
+"""Errors that repeat from fix to fix, behind the 15 states: blocks of first-order Gauss-Markov processes."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -10,9 +10,9 @@ from models.state import E
 
 
 class SlowErrors(NamedTuple):
-    """columns: of each block in P, the last used behind the others; tau_s, psd, mean: (k,) of all;
+    """columns: of each block in P, the last used last; tau_s, psd, mean: (k,);
 
-    psd: driving variance per second, 2 sigma^2 / tau for a steady sigma; estimated: (k,) 1 where corrected, 0 where considered.
+    psd: variance per second, 2 sigma^2 / tau for a steady sigma; estimated: (k,) 1, considered: 0.
     """
 
     columns: dict[str, slice]

@@ -1,6 +1,6 @@
 """State of the estimator at one instant: all that a checkpoint keeps.
 
-It changes by measurements in order of validity alone: no clock, no arrival, no randomness.
+It changes by measurements in order of validity alone.
 """
 
 import math
@@ -98,7 +98,7 @@ class Tracker:
 
     @property
     def is_refuted(self) -> bool:
-        """No hypothesis predicted the last positions, or a position source failed its gate several times in a row."""
+        """No hypothesis predicted the last positions, or a position source keeps failing its gate."""
         return self.alignment.contradiction.unforeseen >= _REFUTED or max(self.failed.values(), default=0) >= _REFUTED
 
     @property
@@ -415,9 +415,9 @@ class Tracker:
                     core.hypotheses.forget(slow.block)
 
     def _settle(self, stretch: Stretch, samples: ImuBuffer, alone: str) -> None:
-        """Run the stretch again while worthwhile, until the linear filter can go on alone.
+        """Run the stretch again until the linear filter can go on alone.
 
-        Not in dead reckoning: no position confirms the result. alone: topic of the only source.
+        Not in dead reckoning. alone: topic of the only source.
         """
         core = self.core
         assert core.hypotheses is not None

@@ -46,10 +46,7 @@ class VarianceFactor(NamedTuple):
     lasting: float = 1.0
 
     def also(self, topic: str, t_ns: int, distance2: float, dof: int, largest: float | None = None) -> "VarianceFactor":
-        """With one more innovation, of squared Mahalanobis distance distance2 at f = 1; r above `largest` does not count.
-
-        None: noise level, after usual innovations.
-        """
+        """With one more squared Mahalanobis distance, at f = 1; r above `largest` does not count."""
         by_topic = {name: r for name, r in self.recent if name == topic or (t_ns - r.t_ns) * 1e-9 < _SILENT_S}
         if largest is None:
             largest = LARGEST if self.usual >= _ENOUGH else LARGEST_AT_FIRST

@@ -1,4 +1,4 @@
-"""The visual front-end: images to requests with a prior to landmark fixes.
+"""The visual front-end: images -> requests with prior -> landmark fixes.
 
-Begin with `requests` and `processor`. May import estimator.map_files, estimator.publish, logs, calib, vision and models.
+Begin with `requests`. May import estimator.map_files, estimator.publish, logs, calib, vision, models.
 """

@@ -2,7 +2,7 @@
 
     pairs -> KeyFrames -> OdometryRequest (with the motion of Track) -> odometry.OdometryProcessor -> OdometryDelta or a report
 
-A step begins at the later pair of the step before: increments never overlap.
+Increments never overlap.
 """
 
 from typing import Annotated, Final, TypeAlias

@@ -1,4 +1,4 @@
-"""Landmarks for viewers: sent at the start, on changes of those in use, and after motion."""
+"""Landmarks for viewers."""
 
 from typing import Final
 

@@ -1,4 +1,4 @@
-"""Visual odometry as messages: a request with four images in, an increment or a report out."""
+"""Visual odometry: a request and its images in, an increment or a report out."""
 
 from typing import Final
 

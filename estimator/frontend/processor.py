@@ -1,4 +1,4 @@
-"""Vision behind a door of messages: a request and its images in, report and fix out."""
+"""Vision: a request and its images in, report and fix out."""
 
 from typing import Final, NamedTuple
 

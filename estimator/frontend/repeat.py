@@ -1,6 +1,4 @@
-"""Replay from images, for landmarks and odometry: logged requests are repeated bit for bit; without them requests come from the
-replay's estimate, answers 50 ms later.
-"""
+"""Replay from images: logged requests are repeated; else requests from the replay's estimate, answers 50 ms later."""
 
 from abc import ABC, abstractmethod
 from collections import deque

@@ -2,7 +2,7 @@
 
     images -> Pairing -> VisionRequest (with the prior of Track) -> processor.Processor -> LandmarkFix, VisionReport
 
-Requests are logged: daemon and replay get the same answers.
+Requests are logged.
 """
 
 from collections import deque
@@ -66,7 +66,7 @@ class Pair(NamedTuple):
 
 
 class Pairing:
-    """Pairs images by stamps, at most most_hz; unpaired ones go alone after a while, at once where `alone`."""
+    """Pairs images by stamps, at most most_hz; unpaired ones go alone, at once where `alone`."""
 
     def __init__(self, config: VisionConfig, alone: bool = False) -> None:
         self._alone = alone

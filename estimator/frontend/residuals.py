@@ -1,6 +1,6 @@
 """Overlay test of a flight: the map projected from the estimate against image edges.
 
-Residual of an image: median over landmarks of Residuals.spread_px, beside the expected one.
+Residual of an image: median over landmarks of Residuals.spread_px.
 """
 
 from collections import defaultdict

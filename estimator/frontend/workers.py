@@ -1,4 +1,4 @@
-"""Worker processes: spawned (forks of threaded processes hang), SIGINT blocked: Ctrl-C is the parent's."""
+"""Worker processes: spawned (forks of threads hang), SIGINT blocked."""
 
 import signal
 import threading
@@ -11,7 +11,7 @@ from multiprocessing.context import SpawnContext, SpawnProcess
 
 class _Worker(SpawnProcess):
     def start(self) -> None:
-        """Start with the parent thread's signal mask, after the resource tracker; Ctrl-C waits until the process is known."""
+        """With the parent thread's signal mask, after the resource tracker."""
         self.daemon = True  # terminated with this process
         resource_tracker.ensure_running()
         before, held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}), list[int]()

@@ -1,4 +1,4 @@
-"""Integrity: a bound on the position error at a stated risk, and an alert; reads the filter only.
+"""A bound on the position error at a stated risk, and an alert.
 
-Begin with protection.py. May import estimator.filter, estimator.sources and models.
+Begin with protection.py. May import estimator.filter, estimator.sources, models.
 """

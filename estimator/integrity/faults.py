@@ -71,7 +71,7 @@ class Fault(NamedTuple):
 
 
 def faults(now: Snapshot, config: IntegrityConfig) -> list[Fault]:
-    """All modes; the filter's probabilities sum to 1, the rates come on top (union bound)."""
+    """The filter's probabilities sum to 1, rates come on top (union bound)."""
     found = list(_weighed(now))
     nominal = found[0]
     for topic, position in now.positions.items():

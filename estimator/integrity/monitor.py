@@ -1,4 +1,4 @@
-"""Protection levels and alert: five times in `time_to_alert_s` with an alert limit, else once in twice that."""
+"""Protection levels: five in `time_to_alert_s` with an alert limit, else one in twice that."""
 
 import math
 from collections.abc import Callable, Sequence

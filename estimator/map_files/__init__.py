@@ -1,4 +1,4 @@
-"""Maps on disk: GeoJSON, orthophotos, height rasters. Begin with `store` and `image`.
+"""Maps on disk. Begin with `store`.
 
 May import estimator.strict_toml, vision and models.
 """

@@ -1,4 +1,4 @@
-"""Description of a map's image; separate from its reader, so a configuration loads no image library."""
+"""Description of a map's image; loads no image library."""
 
 from pathlib import Path
 from typing import NamedTuple

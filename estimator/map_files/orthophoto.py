@@ -1,6 +1,6 @@
 """Georeferenced images, and colours of roofs in them.
 
-A GeoTIFF, or an image with a world file (.pgw, .jgw, .tfw, .wld) and a .prj:
+GeoTIFF, or a world file (.pgw, .jgw, .tfw, .wld) and a .prj:
 
 (x, y) = A (u, v, 1): plane coordinates of the pixel whose centre is at (u, v)
 """

@@ -1,4 +1,4 @@
-"""Logs through the same `Fusion.handle` as in flight, to the same bits; simulated logs. Begin with `replay` and `simulate`.
+"""Replay to the bits of the flight; simulated logs. Begin with `replay`.
 
 May import estimator.frontend and the layers below it, logs, calib, vision and models.
 """

@@ -1,4 +1,4 @@
-"""Images of a simulated flight, rendered on all cores with one random stream per pair.
+"""Images of a simulated flight, one random stream per pair.
 
 pose at exposure:  p + v dt,  R exp(omega dt)         from the truth's last IMU sample before it
 """

@@ -28,8 +28,8 @@ def advice(
     details: Mapping[str, str],
     waited_for: str,
 ) -> str:
-    """kind: of importer, "" for none; positions: messages with one; fixes: topic -> reason -> measurements; details: topic ->
-    last refusal; waited_for: by the estimator at last.
+    """kind: of importer; positions: messages with one; fixes: topic -> reason -> measurements; details: topic -> last refusal;
+    waited_for: at last.
     """
     log_faster = _LOG_FASTER.get(kind, _ANY_LOG)
     if imu_samples < 2:

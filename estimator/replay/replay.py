@@ -1,6 +1,6 @@
 """A log through the estimator, to the bits of a flight with this configuration.
 
-The output holds the input byte for byte, without earlier outputs, and behind each message the outputs it caused.
+Output: the input byte for byte, without earlier outputs, and behind each message what it caused.
 """
 
 import time
@@ -80,7 +80,7 @@ def replay(
 ) -> ReplaySummary:
     """Replay `source` (parts, or their folder) into `out`; progress: fraction done. Raises LogError.
 
-    processor: processes images again, None: logged fixes; attachments: replace the log's; odometry: whether used.
+    processor: None: logged fixes; attachments: replace the log's; odometry: whether used.
     """
     parts = files_of(source)
     if out.exists() and any(part.exists() and out.samefile(part) for part in parts):

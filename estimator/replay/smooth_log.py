@@ -53,7 +53,7 @@ def write_smoothed(
 ) -> SmoothSummary:
     """Smooth the log `source` into `out`; progress: fraction done. Raises LogError.
 
-    out: the source's messages and nav_msgs/Odometry on /landfix/smoothed, at the log time of the next IMU sample.
+    out: the source's messages and /landfix/smoothed, logged at the next IMU sample.
     """
     if source.exists() and out.exists() and out.samefile(source):
         raise LogError(f"{out}: the output would overwrite the input; name another file after -o")

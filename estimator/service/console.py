@@ -53,7 +53,7 @@ class Console:
                 self._lines.put_nowait(line)
 
     def note(self, output: Output) -> None:
-        """Print the first estimate, changes of mode or alert, a silent IMU, malformed messages once a topic."""
+        """Print the first estimate, changes of mode or alert, a silent IMU, malformed messages."""
         if isinstance(output, Estimate) and not self._estimated:
             self._estimated = True
             self.say("first estimate: published")

@@ -1,7 +1,6 @@
 """The loop: messages through Fusion.handle, outputs to links and log.
 
-Links, log and state file have own threads; late fixes are worked in while no message waits. Fusion gets the logged bytes, so a
-replay is equal to the bit.
+Links, log and state file have own threads. Fusion gets the logged bytes: a replay is equal to the bit.
 """
 
 from collections.abc import Callable, Sequence
@@ -39,7 +38,7 @@ class ServiceConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Daemon:
-    """alive(): called at each tick with estimates or a known reason for none; watchers: with every output."""
+    """alive(): with estimates or a known reason for none; watchers: with every output."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""What `landfix monitor` shows: the daemon as seen from outside, over Zenoh, in one screen."""
+"""What `landfix monitor` shows."""
 
 import math
 import time

@@ -339,7 +339,7 @@ def _mavlink(stack: ExitStack, config: RunConfig, folder: Path, clock: Clock, co
 
 @contextmanager
 def _until_signalled(daemon: Daemon) -> Iterator[None]:
-    """Signals stop the daemon, and are ignored while the log closes; ignored ones (nohup) stay so."""
+    """Signals stop the daemon; ignored ones (nohup) stay so."""
     for number in _STOP_SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, lambda *_: daemon.stop())

@@ -1,4 +1,4 @@
-"""Telling systemd how we are: ready, alive, stopping (sd_notify(3)). Without systemd nothing happens."""
+"""systemd's sd_notify(3): ready, alive, stopping."""
 
 import contextlib
 import os

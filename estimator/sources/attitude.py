@@ -1,6 +1,6 @@
 """An autopilot's attitude as a prior for the alignment.
 
-Never fused in flight: it rests on the same IMU and often GNSS, and its errors repeat.
+Never fused in flight: it rests on the same IMU and GNSS.
 """
 
 from typing import Final

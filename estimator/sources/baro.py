@@ -2,8 +2,7 @@
 
     z = h + s_0 + s_1 h + v,   h = -p_d
 
-The first reading sets s_0 (weather, datum), which then drifts; s_1: air temperature, 0.4 % per degree off the standard. Both are
-estimated.
+Estimated: s_0, set by the first reading, drifting; s_1: air temperature, 0.4 % per degree.
 """
 
 import math

@@ -1,7 +1,6 @@
 """GNSS: position on the ellipsoid, velocity over ground.
 
-The receiver's covariance is white; position and velocity also carry a slow considered error (atmosphere, multipath, receiver
-filter), without which 0.1 m/s at 5 Hz would claim 10 s of motion to 0.14 m (real: 0.1 to 1.5 m).
+White covariance of the receiver, and slow considered errors of position and velocity (atmosphere, multipath, receiver filter).
 """
 
 import math

@@ -100,7 +100,7 @@ class Posed(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """The pose kept for a topic since t_ns, for increment `name` until until_ns, or the next pose.
+    """The pose kept for a topic since t_ns, for increment `name` until until_ns.
 
     pose: in the odometry's frame; newest: last pose since, its time and velocity there, m/s.
     """
@@ -326,10 +326,7 @@ def arrived(state: SourceState, rules: Rules, t_ns: int, *, alone: bool) -> Sour
 
 
 def widest(state: SourceState, rules: Rules) -> float:
-    """Allowed deviation per component, in sigma; less while increments contradict alike.
-
-    The growing covariance would otherwise accept the next wrong one.
-    """
+    """Allowed deviation per component, sigma; less while increments contradict alike."""
     is_disputed = max(state.sums, default=0.0) > _DISPUTED
     return _DISPUTED_SIGMA if is_disputed else math.sqrt(gate(rules.gate_probability, 1))
 

@@ -2,7 +2,7 @@
 
     z cos(tilt) = -p_d + s_0 + n,   cos(tilt) = e_d^T R_nb e_z
 
--s_0: ground height above the origin, set by the first reading and walking with the terrain, or ground_m.
+-s_0: ground above the origin, by the first reading and walking, or ground_m.
 """
 
 import math

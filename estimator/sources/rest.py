@@ -37,7 +37,7 @@ _RATE_SIGMA = 3e-4  # rad/s: of a vehicle at rest, mean of a second
 
 
 class RestConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """[rest]: zero-velocity and zero-rotation updates, for vehicles that stand on the ground, not hover or float."""
+    """[rest]: zero-velocity and zero-rotation updates, for vehicles that stand on the ground."""
 
     enabled: Annotated[bool, Meta(description="whether a vehicle that the IMU shows at rest is taken to be at rest")] = False
     velocity_sigma_m_s: Annotated[float, Meta(ge=1e-4, le=10, description="m/s: of a vehicle at rest")] = 0.05
@@ -87,10 +87,7 @@ def at_rest(u: Array, azimuth: float, earth_n: Array, config: RestConfig) -> Res
 
 
 def objection(x: Array, cov: Array, config: RestConfig) -> str:
-    """Why x, P (n, n) does not confirm a rest; '' where velocity is known, and zero within 95 %.
-
-    A gate of all seven components would pass 0.3 m/s at a sigma of 0.07.
-    """
+    """Why x, P (n, n) does not confirm a rest; '' where velocity is known, and zero within 95 %."""
     if cov.diagonal()[E.V].max() >= _KNOWN_M_S**2:
         return "looks at rest, but the velocity is not known well enough to confirm it"
     v = x[X.V]

@@ -1,4 +1,4 @@
-"""Ground tools: demonstration, maps, overlays, checks, tuning; commands parse and print.
+"""Ground tools.
 
 May import everything of estimator but commands and cli.
 """

@@ -1,4 +1,4 @@
-"""The demonstration: a simulated flight over a village, replayed, evaluated, reported.
+"""The demonstration.
 
 GPS ends after one third; then landmarks, a dark lens, and odometry over meadows, compared with a replay without it.
 """

@@ -1,4 +1,4 @@
-"""landfix calibrate: cameras, stereo rigs, IMUs, and how they sit on each other."""
+"""landfix calibrate."""
 
 import typer
 

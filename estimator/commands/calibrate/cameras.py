@@ -1,4 +1,4 @@
-"""landfix calibrate mono, stereo, dlt and convert: cameras and stereo rigs from images of a board, and their files."""
+"""landfix calibrate mono, stereo, dlt, convert."""
 # ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
 
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""landfix calibrate imu and camera-imu: noise of an IMU at rest; a camera's place on it from a moving recording."""
+"""landfix calibrate imu, camera-imu."""
 # ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""What the calibrate commands share: options, and how a result is printed."""
+"""Shared by the calibrate commands."""
 # ruff: noqa: PLC0415  (imported where needed, so that --help is fast)
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""How commands speak: results on stdout, progress and remarks on stderr, JSON on request."""
+"""Results on stdout, progress and remarks on stderr."""
 # ruff: noqa: PLC0415  (imported where needed, so that --help is fast)
 
 from collections.abc import Iterator, Sequence

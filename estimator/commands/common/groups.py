@@ -8,7 +8,7 @@ _WHOLE = 1000  # characters: the formatter wraps, nothing is cut
 
 
 class Group(TyperGroup):
-    """Commands by panel in order of registration, with their whole first sentence."""
+    """Commands by panel, in order of registration."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002  (as click calls it)
         """The commands of the help, one section a panel."""

@@ -16,10 +16,7 @@ _LIVE_S, _LIVE_FOR_S = 0.7, 90.0  # a live camera: an image so often, for so lon
 
 
 class SourceImage(NamedTuple):
-    """key: pairs it with the other camera (number in the name, frame, or stamp in ns); done: fraction.
-
-    fault: why unreadable; image is then None.
-    """
+    """key: pairs it with the other camera (number, frame, or stamp in ns); done: fraction; fault: why unreadable, image None."""
 
     name: str
     key: int

@@ -1,4 +1,4 @@
-"""Views of a board out of images, and pairs out of the views of two cameras."""
+"""Views of a board, and pairs of views."""
 
 from collections.abc import Callable, Sequence
 

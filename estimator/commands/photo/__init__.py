@@ -1,4 +1,4 @@
-"""Photos from drones: tags (EXIF, XMP), pose and camera from them, size and orientation.
+"""Photos from drones: tags, pose, camera, orientation.
 
-May import estimator.commands.common, estimator.map_files, calib, vision and models; no command.
+May import estimator.commands.common, estimator.map_files, calib, vision, models.
 """

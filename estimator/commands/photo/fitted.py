@@ -1,7 +1,6 @@
-"""A photo for a calibrated camera: EXIF orientation and size.
+"""A photo for a calibrated camera, in sensor pixels.
 
-Calibration uses sensor pixels: a photo is turned upright only where it fits no other way. EXIF orientation: 1 as stored; 6, 3, 8
-turned by 1, 2, 3 quarters clockwise; others mirrored.
+EXIF orientation: 1 as stored; 6, 3, 8 turned by 1, 2, 3 quarters clockwise; others mirrored.
 """
 # ruff: noqa: PLC0415  (imported where needed, so that --help is fast)
 

@@ -33,10 +33,8 @@ def prior_of(
     tags: Tags, frame: Origin, ground_d: Callable[[float, float], float], height_m: float | None, where: str,
     camera_pitch_deg: float | None = None,
 ) -> Prior:  # fmt: skip
-    """Prior pose in n; ground_d(north, east): down of the ground; height_m: above it, instead of the tags'; camera_pitch_deg:
-    from the horizon, without a gimbal.
-
-    Raises CalibrationError without tags.
+    """Prior pose in n; ground_d(north, east): down of the ground; height_m: above it; camera_pitch_deg: from the horizon. Raises
+    CalibrationError.
     """
     if tags.lat_lon_deg is None:
         raise CalibrationError(f"{where}: no position in its tags (EXIF, XMP): give --prior LAT,LON,ALT,ROLL,PITCH,YAW")

@@ -39,7 +39,7 @@ class Tags:
     """Tags, None where unusable.
 
     altitude_m: above sea or ellipsoid; attitude_deg: roll, pitch, yaw; sigma_m: horizontal, vertical; taken_s: local clock;
-    dewarp: fx fy cx cy k1 k2 p1 p2 k3, (cx, cy) from the middle; dewarped: applied; zoom: digital; edited_by: a later program.
+    dewarp: fx fy cx cy k1 k2 p1 p2 k3, (cx, cy) from the middle; zoom: digital.
     """
 
     width: int

@@ -1,4 +1,4 @@
-"""From nothing to an aligned filter. May import estimator.filter.relinearise, hypotheses and what is below them."""
+"""From nothing to an aligned filter. May import estimator.filter.relinearise and what is below it."""
 
 from estimator.filter.alignment.alignment import AT_REST, NO_POSITION, WRONG_SENSOR, Alignment
 from estimator.filter.alignment.config import FilterConfig, TrackerConfig

@@ -1,7 +1,7 @@
 """From nothing to an aligned filter.
 
-A whole pose starts it at once; a position levels it with eight headings until one is left; an attitude prior, course or measured
-heading replaces these. Aligned: attitude and velocity known, and the stretch so far, run again, confirms them.
+From a whole pose, or a position with eight headings, an attitude prior, course or measured heading. Aligned: attitude and
+velocity known, and confirmed by a second run.
 """
 
 import math
@@ -222,10 +222,10 @@ class Alignment:
             core.is_aligned = known and confirmed and self._is_known()
 
     def _follows(self, aid: Aid, seen: Innovation, limit: float, *, lasts: bool) -> bool:
-        """Fuse a second unpredicted measurement: the only filter drifts without fixes.
+        """Fuse a second unpredicted measurement.
 
-        Only while innovations do not persist in one direction (three in a row, two at an attitude 30 degrees off); not after a
-        filter was given up: a wrong IMU is not followed.
+        Not where innovations persist in one direction (three in a row, two at an attitude 30 degrees off), nor after a filter was
+        given up: the IMU is wrong.
         """
         core = self.core
         assert core.hypotheses is not None

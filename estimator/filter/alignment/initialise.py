@@ -80,7 +80,7 @@ class Level:
 def level(t_ns: int, u: Array, config: InitialiseConfig, *, may_rest: bool = True) -> Level:
     """Level from samples u (k, 6), gyro then accel, that end at t_ns.
 
-    may_rest: nothing else shows motion; a gentle coordinated turn looks like rest.
+    may_rest: nothing else shows motion.
     """
     gyro, force = u[:, :3], u[:, 3:]
     f = force.mean(axis=0)
@@ -142,7 +142,7 @@ def start_from_heading(
 ) -> Hypotheses | None:
     """One levelled filter at a position fix with the measured heading; None where gravity contradicts.
 
-    It begins without heading information and fuses the measurement, which sets the correlations with tilt and repeated errors.
+    The measurement is fused, for the correlations with tilt and repeated errors.
     """
     north, east = (so3.matrix(so3.from_euler(at.roll, at.pitch, 0.0)) @ seen.direction_b).tolist()[:2]
     begun = _levelled(t_ns, z, at, seen.azimuth - math.atan2(east, north), NO_HEADING, constants, config)
@@ -225,7 +225,7 @@ def weigh(bank: Hypotheses, aid: Aid, z: Measurement, gyro_b: Array) -> Innovati
 def aligned(bank: Hypotheses, config: InitialiseConfig, *, sensed: bool = False) -> bool:
     """Attitude (sigma, spread of headings) and velocity are known well enough.
 
-    sensed: by a sensor, whose sigma counts; headings from accelerations are overconfident.
+    sensed: the sensor's sigma counts.
     """
     attitude, velocity = _sigmas(bank)
     known = attitude < math.radians(config.heading_deg)

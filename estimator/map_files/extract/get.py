@@ -73,7 +73,7 @@ def get(
 ) -> tuple[LandmarkMap, Got]:
     """The map and what was found. Raises MapError without a footprint.
 
-    ground_alt_m: above the ellipsoid; sigma_m: replaces the sources'; ground: heights per landmark.
+    ground_alt_m: above the ellipsoid; sigma_m: replaces the sources'.
     """
     files = _files(source)
     features: list[dict[str, Any]] = []

@@ -1,4 +1,4 @@
-"""Formats of landfix[geo] near the place: GeoPackage, Shapefile, OpenStreetMap and others by GDAL, GeoParquet by Arrow."""
+"""Formats of landfix[geo]: by GDAL, GeoParquet by Arrow."""
 
 import json
 import re

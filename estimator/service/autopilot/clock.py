@@ -1,6 +1,6 @@
 """The autopilot's clock since boot: from TIMESYNC within half a round trip, else from its messages.
 
-A stamp off by more than two seconds is implausible; five in a row are a reboot.
+Off by over two seconds: implausible; five in a row: a reboot.
 """
 
 from typing import Final

@@ -139,10 +139,9 @@ class OutputPolicy:
         return max(1, round(100.0 * (1.0 - share)))
 
     def reset_counter(self, estimate: Estimate, p_n: Vec3, quality: int) -> int:
-        """0 to 255, for an estimate sent now at p_n [m] in the autopilot's frame.
+        """0 to 255, for p_n [m] in the autopilot's frame.
 
-        Increased for |p - (p' + (v + v') dt / 2)| > max(1 m, 3 sigma), a reset of the estimator, or more than a second without
-        use.
+        Increased for |p - (p' + (v + v') dt / 2)| > max(1 m, 3 sigma), a reset, or a second without use.
         """
         last, usable_ns = self._last, self._usable_ns
         self._last = estimate, p_n

@@ -169,9 +169,9 @@ def local_reference(data: bytes) -> Vec3 | None:
 
 
 def receiver(data: bytes, geoid_m: float, topic: str) -> tuple[GnssFix, GnssVelocity | None] | None:
-    """Of a SensorGps, whose first fields are the same in 1.15 to 1.18, stamps PX4's; None: too short.
+    """Of a SensorGps (1.15 to 1.18), stamps PX4's; None: too short.
 
-    The height above the sea and geoid_m where none above the ellipsoid is given; sigmas 0: not given.
+    Height above the sea and geoid_m without one above the ellipsoid; sigma 0: not given.
     """
     if len(data) < _GPS.size:
         return None

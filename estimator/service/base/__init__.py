@@ -1,4 +1,4 @@
-"""Shared by the daemon's parts: ports, clock, status, secrets.
+"""Shared by the daemon's parts.
 
-May import estimator.strict_toml, logs and models; nothing else of the service.
+May import estimator.strict_toml, logs, models.
 """

@@ -45,7 +45,7 @@ class ClockConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Clock:
     """Nanoseconds since 1970: the wall clock at the start, carried on by the monotonic clock.
 
-    anchor_ns: wall - steady of an earlier daemon of the same boot; wall, steady: for tests.
+    anchor_ns: wall - steady of an earlier daemon of this boot.
     """
 
     def __init__(

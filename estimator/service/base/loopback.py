@@ -1,10 +1,10 @@
-"""Whether a host is this machine: by its address, not by the start of its name."""
+"""Whether a host is this machine, by its address."""
 
 import ipaddress
 
 
 def is_loopback(host: str) -> bool:
-    """An address literal or exactly localhost; other names may resolve anywhere (127.0.0.1.example, 127.1)."""
+    """An address literal or localhost; 127.0.0.1.example may resolve anywhere."""
     if host == "localhost":
         return True
     try:

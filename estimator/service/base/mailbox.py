@@ -1,6 +1,6 @@
 """Messages for the loop: a bounded queue per topic, so that a flood delays only itself.
 
-    next = the oldest message among the lines that are not crowded; where all are crowded, the oldest of all
+    next = the oldest message of lines that are not crowded, else of all
 
 Dropped and counted: what does not fit, and repetitions in a crowded line.
 """

@@ -1,4 +1,4 @@
-"""The daemon's ports: Inbox (from links' threads), Outbox (from the loop; neither blocks nor raises), Log."""
+"""The daemon's ports: Inbox, Outbox, Log; none blocks or raises."""
 
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
@@ -25,7 +25,7 @@ class Inbox(Protocol):
         ...
 
     def put(self, message: Input) -> None:
-        """Put a measurement without CDR; it is encoded first, so estimator and log have the same bytes."""
+        """Put a measurement without CDR; estimator and log get the same bytes."""
         ...
 
 

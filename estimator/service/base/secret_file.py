@@ -1,4 +1,4 @@
-"""Passwords, passphrases and private keys, each in a file that only its owner may access."""
+"""Secrets in files that only their owner may access."""
 
 import shlex
 import stat

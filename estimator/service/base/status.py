@@ -1,4 +1,4 @@
-"""The daemon's own state: latencies, rates, drops; /landfix/daemon, and JSON on request."""
+"""The daemon's state: latencies, rates, drops."""
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence

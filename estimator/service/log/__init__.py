@@ -1,4 +1,4 @@
-"""The daemon's files: log, repair of torn logs, state to resume from. Begin with `writer`.
+"""The daemon's files. Begin with `writer`.
 
 May import estimator.service.base, logs and models.
 """

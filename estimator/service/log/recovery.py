@@ -84,7 +84,7 @@ def torn_logs(folder: Path) -> list[Path]:
 
 
 def recover_in_background(folder: Path) -> subprocess.Popen[bytes] | None:
-    """Repair in a process of lowest priority, or None; the damaged log stays beside the repaired one."""
+    """Repair at lowest priority, or None; the damaged log stays."""
     torn = torn_logs(folder)
     if not torn:
         return None

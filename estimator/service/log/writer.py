@@ -1,7 +1,6 @@
 """The log's thread: writes the queue, flushes every 50 ms (kill -9 loses < 0.1 s), rotates files.
 
-A slow disk loses outputs first, then images, inputs last. After a full disk or removed file a new file begins as soon as
-possible.
+A slow disk loses outputs first, then images, inputs last.
 """
 
 import contextlib

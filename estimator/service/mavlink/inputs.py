@@ -1,7 +1,6 @@
 """The autopilot's messages as measurements: topics, and which to request.
 
-IMU: HIGHRES_IMU, else RAW_IMU (ArduPilot) or SCALED_IMU (`coarse`: 0.01 m/s^2, 0.001 rad/s); SCALED_IMU2, SCALED_IMU3 are the
-others.
+IMU: HIGHRES_IMU, else RAW_IMU (ArduPilot) or SCALED_IMU (`coarse`: 0.01 m/s^2, 0.001 rad/s); others: SCALED_IMU2, 3.
 """
 
 from collections.abc import Iterator
@@ -205,7 +204,7 @@ class Inputs:
             self._imu_us, self._denied = next((us for us in _SLOWER_US if us > self._imu_us), self._imu_us), False
 
     def _is_true_heading(self, autopilot: int | None) -> bool:
-        """None with a dead compass; ArduPilot's is from magnetic north until EKF3 has an origin, and with it the declination."""
+        """None with a dead compass; ArduPilot's is magnetic until EKF3 has an origin."""
         return self._has_compass and (autopilot != codec.ARDUPILOT or _ORIGIN in self._heard)
 
     def _is_gone(self, number: int, now_ns: int) -> bool:

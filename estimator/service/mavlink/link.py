@@ -1,4 +1,4 @@
-"""The autopilot link: sensors in, odometry and fixes out, clock and requests, on one thread that never waits to send."""
+"""The autopilot link: one thread that never waits to send."""
 
 import threading
 from collections.abc import Callable, Sequence

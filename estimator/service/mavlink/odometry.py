@@ -1,6 +1,4 @@
-"""Odometry over MAVLink: ODOMETRY (a frame ends where reset_counter moves), VISION_POSITION_DELTA, OPTICAL_FLOW_RAD
-(flow_range.py), WHEEL_DISTANCE, by logs/wire/increments.py.
-"""
+"""Odometry over MAVLink: ODOMETRY (reset_counter: a new frame), VISION_POSITION_DELTA, OPTICAL_FLOW_RAD, WHEEL_DISTANCE."""
 
 import math
 from typing import Any, Final

@@ -1,7 +1,6 @@
 """Vision in its own process: a crash or hang does not affect the estimator.
 
-This thread pairs images; of waiting pairs the newest goes. A dead or late process is restarted, each time a little later;
-compiling kernels extends its time.
+Of waiting pairs the newest goes. A dead or late process is restarted, each time later; compiling extends its time.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""The Zenoh link in the dialect of rmw_zenoh and, optionally, zenoh-bridge-ros2dds; callbacks only enqueue, congestion drops."""
+"""The Zenoh link: rmw_zenoh, optionally zenoh-bridge-ros2dds; callbacks only enqueue, congestion drops."""
 
 import contextlib
 import secrets

@@ -223,7 +223,7 @@ def _doorkeeper(security: SecurityConfig, folder: Path, inputs: Sequence[str], o
 def access_control(security: SecurityConfig, inputs: Sequence[str], outputs: Sequence[str]) -> dict[str, Any]:
     """Access control: all denied but what feeders and listeners need.
 
-    A feeder needs our subscription (egress) before it sends (ingress); a listener's subscription comes in.
+    A feeder needs our subscription (egress) before it sends (ingress).
     """
     rules = [
         _rule("feed", "ingress", ["put", "liveliness_token"], [*inputs, "@ros2_lv/**"]),

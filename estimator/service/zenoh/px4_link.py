@@ -1,4 +1,4 @@
-"""PX4's zenoh module as an Outbox: vehicle_visual_odometry continuously, aux_global_position for new fixes.
+"""PX4's zenoh module as an Outbox.
 
 Stamps are PX4's, from fmu/out/...; nothing is sent before. Quality -1 until EKF2's origin is known (vehicle_local_position).
 """

@@ -2,7 +2,7 @@
 
     z_x = (1 + k) e_x^T R_nb^T (v - w) + n,   0 = e_y^T R_nb^T (v - w) + n_beta
 
-The scale k is estimated; the second row exists where sideslip_deg is given.
+k: estimated; second row: where sideslip_deg is given.
 """
 
 import math

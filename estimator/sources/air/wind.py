@@ -2,7 +2,7 @@
 
     w' = n_w,   var(w_0) = sigma^2,   g' = -g / tau + n_g
 
-w, north and east, is an estimated random walk; a gust g is considered, so that readings within it share its error.
+w, north and east: estimated random walk; gust g: considered.
 """
 
 import math

@@ -1,7 +1,4 @@
-"""Held values: a reading equal to the last, to the bit, in motion is no measurement.
-
-Stalled drivers, bridges and failed axes repeat values; noise makes true readings differ.
-"""
+"""Held values: a reading equal to the last, to the bit, in motion is no measurement."""
 
 import math
 from operator import eq
@@ -47,7 +44,7 @@ def moves(x: Array, cov: Array) -> bool:
 
 
 class HeldImu:
-    """Held values of an IMU: a sensor for 0.1 s, or an axis for 0.5 s, that varied before."""
+    """Held values of an IMU: a sensor for 0.1 s, an axis for 0.5 s, that varied before."""
 
     __slots__ = ("_alive", "_count", "_last", "_newest_ns", "_since_ns", "says")
 

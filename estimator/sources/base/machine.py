@@ -2,7 +2,7 @@
 
     stopped --(first measurement)--> starting --(probation passed)--> active --(silence, or a fault)--> stopped
 
-A value in the tracker's checkpoint; it reads times of validity only, so a rewind decides the same.
+Part of the checkpoint; reads times of validity only.
 """
 
 import math
@@ -46,7 +46,7 @@ class SourceState(msgspec.Struct, frozen=True):
     def arrive(self, rules: Rules, t_ns: int, *, alone: bool) -> "SourceState":
         """A measurement of t_ns arrives; alone: no other absolute source is active.
 
-        Alone, a refuted sensor stays stopped: the growing covariance would let anything pass the gate.
+        Alone, a refuted sensor stays stopped.
         """
         phase, passed, sums = self.phase, self.passed, self.sums
         if alone and self.is_refuted:
@@ -90,7 +90,7 @@ class SourceState(msgspec.Struct, frozen=True):
     def judge(self, rules: Rules, t_ns: int, *, alone: bool, passed: bool, fused: bool, nu: Array, sigma: Array) -> "SourceState":
         """The measurement passed its gate or not, was fused or not.
 
-        A drift is the source's only beside an independent source: alone, the filter may drift.
+        A drift is the source's only beside an independent source.
         """
         state = replace(self, fused_ns=t_ns, failed_ns=_NEVER, is_refuted=False) if fused else self
         if state.phase is Phase.STARTING:

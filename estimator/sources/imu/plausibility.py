@@ -1,6 +1,6 @@
 """Is an IMU sample usable, the stream plausible?
 
-A mean specific force near one (unit g) or zero (gravity removed), or rates beyond rad/s, are refused.
+Refused: mean specific force near one (g) or zero (gravity removed), rates beyond rad/s.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Recent samples of one of several IMUs: constancy of each axis, means over short blocks."""
+"""Recent samples of an IMU: constancy of each axis, block means."""
 
 from collections import deque
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Checks before a flight (machine, configuration, files, a log), with advice. Begin with `machine`.
+"""Checks before a flight, with advice. Begin with `machine`.
 
 May import estimator.config and the layers below it.
 """

@@ -1,4 +1,4 @@
-"""Can `landfix run` start with this configuration, as this user? Cameras, ports, devices, secrets, folders."""
+"""Can `landfix run` start with this configuration, as this user?"""
 
 import errno
 import os

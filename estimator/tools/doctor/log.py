@@ -1,4 +1,4 @@
-"""Is a log fit for a replay? Topics, rates, stamps, delays, IMU units and axes, absolute sources."""
+"""Is a log fit for a replay?"""
 
 import math
 from collections.abc import Callable

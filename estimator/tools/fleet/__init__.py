@@ -1,4 +1,4 @@
-"""Many flights: engine (dask.distributed), store (fsspec), a row a flight (Parquet), comparison.
+"""Many flights, a row each.
 
-Begin with `run` and `compare`. May import estimator.replay and the layers below it, logs and models.
+Begin with `run`, `compare`. May import estimator.replay and the layers below it, logs, models.
 """

@@ -36,8 +36,7 @@ _ROOT: Final = Path(__file__).parents[3]
 class Settings(msgspec.Struct, frozen=True):
     """Common to all flights of a run.
 
-    configuration: TOML text, None: each log's; truth: topic; from_images: with files (path -> content); code: of the program,
-    equal on the worker.
+    configuration: TOML text, None: each log's; truth: topic; from_images: files (path -> content); code: equal on the worker.
     """
 
     label: str

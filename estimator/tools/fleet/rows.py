@@ -17,9 +17,8 @@ COSTS: Final = frozenset({"cpu_s", "wall_s", "memory_mb", "read_bytes"})  # diff
 class Row(msgspec.Struct, frozen=True, kw_only=True):
     """One flight under one label.
 
-    key: of inputs, configuration, program, options; inputs_sha256: of the bytes; code: of the source files; nis, refused: by
-    "topic kind" and reason; *_exceeded: errors above the level; available: share within alert limits; outage_end_m: RMS; error:
-    why no result.
+    key: of inputs, configuration, program, options; nis, refused: by "topic kind" and reason; *_exceeded: errors above the level;
+    available: share within alert limits; outage_end_m: RMS; error: why no result.
     """
 
     key: str

@@ -23,7 +23,7 @@ _KEPT_EVERY_S: Final = 10.0  # rows that came meanwhile are what the loss of thi
 class RunSummary(msgspec.Struct, frozen=True):
     """Flights listed, known, done; failed: rows with an error; unfinished: log and reason.
 
-    hours: of flight; hours_a_core_hour, read_bytes, stored_bytes: of those done; memory_mb: largest worker.
+    hours: of flight; memory_mb: largest worker.
     """
 
     label: str

@@ -1,7 +1,4 @@
-"""Logs at fsspec addresses (path, s3://, gs://, az://, http://), parts grouped into flights.
-
-Keys and endpoints come from the store's own client, on workers too.
-"""
+"""Logs at fsspec addresses, parts grouped into flights."""
 
 from collections.abc import Iterable, Sequence
 from glob import has_magic

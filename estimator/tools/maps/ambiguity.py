@@ -1,4 +1,4 @@
-"""Ambiguous landmarks of a map, and repeated surroundings.
+"""Ambiguous landmarks and repeated surroundings.
 
 Landmark i with a similar j is ambiguous; its position is, where t = l_j - l_i maps its surroundings onto similar ones.
 """

@@ -37,9 +37,7 @@ _REACHES_M: Final = (400.0, 200.0, 100.0, 50.0)  # for look-alikes, the first th
 
 
 class Camera(msgspec.Struct, frozen=True):
-    """view_deg: full angle of the smaller side; images_hz; found: share with a fix; sigma_share: of one landmark's fix, sigma /
-    distance; sigma_deg: attitude.
-    """
+    """view_deg: full angle of the smaller side; found: share with a fix; sigma_share: of one landmark's fix, sigma / distance."""
 
     view_deg: float = 60.0
     images_hz: float = 1.0

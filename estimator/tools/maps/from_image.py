@@ -23,7 +23,7 @@ _MOST_REGIONS = 100_000
 def landmarks(ortho: Orthophoto, colours_bgr: tuple[Colour, ...], least_m2: float, sigma_m: float | None = None) -> bytes:
     """GeoJSON of regions of these colours (none: any), marked automatic.
 
-    sigma_m: of the image on Earth, None: a pixel. Regions at the border are left out; grey images give no colours.
+    sigma_m: of the image on Earth, None: a pixel. Without regions at the border.
     """
     pixel_m = resolution_m(ortho)
     limits = Limits(least_px=max(_LEAST_PX, round(least_m2 / pixel_m**2)), least_side_px=3, most=_MOST_REGIONS)

@@ -38,9 +38,7 @@ class LearnError(ValueError):
 
 
 class LearnConfig(msgspec.Struct, frozen=True):
-    """most_hz: pairs processed; most_sigma_m: of a pose, horizontally; ground_alt_m: None: of the start; colours_bgr: none:
-    any.
-    """
+    """most_hz: pairs; most_sigma_m: of a pose, horizontally; ground_alt_m: None: of the start; colours_bgr: none: any."""
 
     most_hz: float = 2.0
     most_sigma_m: float = 1.5

@@ -28,9 +28,7 @@ _MOST_S = 36_000.0
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """At RATE_HZ: t_s (n,), hover below HOVER_S; s_m (n,): distance; p_n, v_n (n, 3); accel_b (n, 3) level; heading_rad: first
-    leg.
-    """
+    """At RATE_HZ, hover below HOVER_S; s_m (n,): distance; p_n, v_n (n, 3); accel_b (n, 3) level; heading_rad: first leg."""
 
     t_s: Array
     s_m: Array

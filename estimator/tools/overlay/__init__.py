@@ -1,4 +1,4 @@
-"""The map drawn into recorded images: video, sheet, residuals, report. Begin with `log` and `video`.
+"""The map drawn into recorded images. Begin with `log`, `video`.
 
 May import estimator.config and the layers below it.
 """

@@ -25,7 +25,7 @@ _SLOWEST, _FASTEST = 1.0, 60.0  # images a second
 
 
 class Choice(msgspec.Struct, frozen=True):
-    """Which images: every n-th from start_s for seconds; right: camera; everything: measure all landmarks."""
+    """Every n-th image from start_s for seconds; right: camera; everything: all landmarks."""
 
     every: int = 1
     start_s: float = 0.0

@@ -54,9 +54,7 @@ class Job(msgspec.Struct, frozen=True):
 
 
 class Window(msgspec.Struct, frozen=True):
-    """n comparisons, mean score, number probably false; of the others sums of y^T S^-1 y, dof, squared position errors; covered:
-    within 95 %.
-    """
+    """Comparisons, mean score, probably false; of the others sums of y^T S^-1 y, dof, squared errors; covered: within 95 %."""
 
     start_s: float
     n: int

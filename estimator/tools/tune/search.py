@@ -1,6 +1,6 @@
 """Search of noise parameters: Sobol' sequence, then COBYQA (Ragonneau & Zhang 2024).
 
-Of indistinguishable values (Breiman et al. 1984) the nearest to the start is taken, where that is wider.
+Of indistinguishable values the nearest to a wider start (Breiman et al. 1984).
 """
 
 import math
@@ -29,7 +29,7 @@ _BACK: Final = (0.25, 0.5, 0.75, 1.0)  # parts of the way back to a wider start
 
 
 class Summary(msgspec.Struct, frozen=True):
-    """Logs under one configuration; score: mean log score; false: probably false fixes, not in nis_per_dof."""
+    """score: mean log score; false: probably false fixes, not in nis_per_dof."""
 
     windows: int
     fixes: int
