@@ -1,4 +1,4 @@
-"""Calibration of cameras, stereo rig and camera-IMU pose from recordings, with reports.
+"""Calibration of cameras, stereo rig, camera-IMU pose from recordings.
 
-May import vision and models, numpy, scipy and OpenCV; no filter.
+May import vision, models, numpy, scipy, OpenCV.
 """

@@ -1,4 +1,4 @@
-"""What goes wrong in a calibration, in one line that says what to do."""
+"""What goes wrong in a calibration."""
 
 
 class CalibrationError(ValueError):

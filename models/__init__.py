@@ -1,5 +1,4 @@
-"""The physics: messages, rotations, frames, the state table, motion and measurement models, simulation.
+"""The physics.
 
-Pure functions on arrays, without I/O, clock or threads; conventions: docs/conventions.md. May import numpy, scipy, numba, pymap3d
-and msgspec.
+Pure functions on arrays; conventions: docs/conventions.md. May import numpy, scipy, numba, pymap3d, msgspec.
 """

@@ -71,8 +71,8 @@ class GnssVelocity(msgspec.Struct, frozen=True, eq=False):
 class PoseFix(msgspec.Struct, frozen=True, eq=False):
     """External position and attitude of the body in the map frame.
 
-    covariance: (6, 6), x y z rx ry rz NED, m^2 and rad^2, R_true = exp(dtheta_n) @ R_measured; variance >= 9e4 m^2 or >= 10
-    rad^2, NaN or negative: not given. covariance_common: systematic part, in addition.
+    covariance (6, 6): x y z rx ry rz NED, R_true = exp(dtheta_n) @ R_measured; >= 9e4 m^2, >= 10 rad^2, NaN, negative: not given.
+    covariance_common: systematic part, in addition.
     """
 
     t_ns: int
@@ -140,8 +140,8 @@ class VisionRequest(msgspec.Struct, frozen=True, eq=False):
 class OdometryRequest(msgspec.Struct, frozen=True, eq=False):
     """A request for the motion from t0_ns to t_ns in four images.
 
-    dp_b, dq_wxyz, covariance: predicted, as OdometryDelta; first, second: left and right image, or None; down_b: unit vector at
-    t0; height_m above ground, 1-sigma; 0: unknown.
+    dp_b, dq_wxyz, covariance: predicted, as OdometryDelta; first, second: left, right image; down_b: unit vector at t0; height_m
+    above ground; 0: unknown.
     """
 
     t_ns: int
@@ -160,7 +160,7 @@ class OdometryRequest(msgspec.Struct, frozen=True, eq=False):
 class Reading(msgspec.Struct, frozen=True, eq=False):
     """A reading of an optional sensor.
 
-    kind: section and [inputs] key; values: (k,) SI, FRD, order of logs/wire/sensors.py; covariance: (k, k) or None.
+    kind: section and [inputs] key; values (k,): SI, FRD, order of logs/wire/sensors.py.
     """
 
     t_ns: int
@@ -174,9 +174,9 @@ class Reading(msgspec.Struct, frozen=True, eq=False):
 class OdometryDelta(msgspec.Struct, frozen=True, eq=False):
     """Motion of the body from t0_ns to t_ns.
 
-    dp_b = R_0^T (p_1 - p_0), m; dq_wxyz: R_01 = R_0^T R_1. covariance: (6, 6) of dp_b and theta, R_01,true = R_01 exp(theta), new
-    each time. systematic: J (6, k), effect of k unit errors s of the rig, constant within an epoch: dp = dp_true + J_p s, R_01 =
-    R_01,true exp(J_theta s); None: a scale of dp_b.
+    dp_b = R_0^T (p_1 - p_0), m; dq_wxyz: R_01 = R_0^T R_1. covariance (6, 6): of dp_b and theta, R_01,true = R_01 exp(theta), new
+    each time. systematic: J (6, k), effect of k unit errors s, constant within an epoch: dp = dp_true + J_p s, R_01 = R_01,true
+    exp(J_theta s).
     """
 
     t_ns: int
@@ -297,8 +297,7 @@ class Reason(StrEnum):
 class AidStatus(msgspec.Struct, frozen=True, eq=False):
     """Decision on a measurement; sent again with a higher revision when changed.
 
-    innovation, innovation_sigma: given components; test_ratio: squared Mahalanobis distance / gate; delay_s: arrival - validity;
-    replayed: IMU samples.
+    test_ratio: squared Mahalanobis distance / gate; delay_s: arrival - validity; replayed: IMU samples.
     """
 
     t_ns: int
@@ -346,8 +345,7 @@ class Reset(msgspec.Struct, frozen=True, eq=False):
 class VisionReport(msgspec.Struct, frozen=True, eq=False):
     """Result of a stereo pair, with the reason.
 
-    outcome: fixed, or the last stage; regions, candidates: numbers; landmarks, similarities: best of each candidate, 0..1;
-    residual_px: RMS or NaN.
+    outcome: fixed, or the last stage; landmarks, similarities: best of each candidate, 0..1; residual_px: RMS.
     """
 
     t_ns: int
@@ -408,8 +406,8 @@ class Alert(StrEnum):
 class Integrity(msgspec.Struct, frozen=True, eq=False):
     """Protection levels at a stated risk, and the state.
 
-    hpl_m, vpl_m: at risk_per_hour, inf: unbounded; hal_m, val_m: alert limits, inf: none; risks_per_hour, hpls_m, vpls_m: fixed
-    risks; sigma_h_m, sigma_v_m: Gaussian of the first; reason: unless usable.
+    hpl_m, vpl_m: at risk_per_hour, inf: unbounded; hal_m, val_m: inf: none; risks_per_hour, hpls_m, vpls_m: fixed risks;
+    sigma_h_m, sigma_v_m: Gaussian of the first.
     """
 
     t_ns: int

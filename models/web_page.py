@@ -1,4 +1,4 @@
-"""A stand-alone HTML page, light or dark; text escaped, foreign scripts forbidden by policy."""
+"""A stand-alone HTML page; text escaped, foreign scripts forbidden."""
 
 import base64
 import html

@@ -39,7 +39,7 @@ _WIDE: Final = 0.25  # of the limits of the search: from there on the prior is s
 
 
 class PipelineConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How images become fixes. path: predict, segment, or auto: predict where the prior allows, else segment."""
+    """path: predict, segment, or auto: predict where the prior allows."""
 
     path: Literal["auto", "predict", "segment"] = "auto"
     space: Space = "hsv"
@@ -152,8 +152,7 @@ def _with_remark(result: Result, remark: str) -> Result:
 def _to_the_next_house(result: Result, most: int, near: list[Landmark], prior: Prior) -> Array:
     """Steps (S, 3) to positions that look the same by the fix' landmarks (`most` are fitted).
 
-    An outline found counts 12 (1 in 20 by chance, 6 in 10 otherwise), one missed 1 / 2.6. Where the map repeats its houses a step
-    further, no number decides.
+    An outline found counts 12, one missed 1 / 2.6.
     """
     if result.fix is None or result.pose is None:
         return np.zeros((0, 3))

@@ -35,7 +35,7 @@ _TOO_FLAT: Final = "seen too flat to know its size"
 
 @dataclass(frozen=True, slots=True)
 class SegmentConfig:
-    """least_px: of a region; most_regions; most_landmarks: near the prior, beyond it nothing is identified."""
+    """least_px: of a region; most_landmarks: near the prior."""
 
     space: Space
     least_px: int

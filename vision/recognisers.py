@@ -71,7 +71,7 @@ class MapImage:
 class _Likely:
     """One image's error of the prior: offset_n (3,), covariance, prior's variance.
 
-    shown_n: middles (2,) of its view and those that agree; length_m: largest.
+    shown_n: middles (2,) of agreeing views.
     """
 
     t_ns: int

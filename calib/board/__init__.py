@@ -1,1 +1,1 @@
-"""The board in an image: chessboard and its corners. May import calib.errors, vision and models."""
+"""The board in an image. May import calib.errors, vision, models."""

@@ -66,12 +66,12 @@ class Board:
 
     @property
     def ends_alike(self) -> bool:
-        """Whether the board looks the same upside down: the end of corner 0 is ambiguous."""
+        """Whether the board looks the same upside down."""
         return self.marker_m == 0.0 and (self.columns + self.rows) % 2 == 0
 
     @cached_property
     def charuco(self) -> cv2.aruco.CharucoBoard:
-        """OpenCV's board; it counts squares, one more than inner corners each way."""
+        """OpenCV's board, counted in squares."""
         kinds = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
         return cv2.aruco.CharucoBoard((self.columns + 1, self.rows + 1), self.square_m, self.marker_m, kinds)
 
@@ -114,7 +114,7 @@ def find(image: Image, board: Board, name: str = "") -> View | Why:
 
 
 def size_seen(image: Image, board: Board) -> tuple[int, int] | Why | None:
-    """Another number of inner corners that an image shows; BLURRED edges; None: none."""
+    """Another number of inner corners that an image shows; None: none."""
     grey_image = grey(image)
     near = [(board.columns + i, board.rows + j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
     sizes = sorted({*near, *_OTHER_SIZES} - {board.size}, key=lambda s: -s[0] * s[1])

@@ -1,4 +1,4 @@
-"""One camera, a stereo rig, surveyed points: estimate, bundle adjustment, covariance. Begin with `mono` and `stereo`.
+"""One camera, a stereo rig, surveyed points. Begin with `mono`, `stereo`.
 
-May import calib.board, calib.files and calib.errors, vision and models.
+May import calib.board, calib.files, calib.errors, vision, models.
 """

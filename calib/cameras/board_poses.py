@@ -21,7 +21,7 @@ _OUTLIER: Final = 5.0  # times the residual of the middle view
 
 @dataclass(frozen=True)
 class BoardPoses:
-    """R_co (M, 3, 3), t_co (M, 3), covariance (M, 6, 6) of (t, rotation about c) by corner noise, sigma_px.
+    """R_co (M, 3, 3), t_co (M, 3), covariance (M, 6, 6) of (t, rotation about c) by corner noise.
 
     by_lens (M, 6, k): derivative by lens parameters; lens_covariance (k, k), None = exact.
     """

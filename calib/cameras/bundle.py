@@ -64,7 +64,7 @@ def rotation_vector(R: Array) -> Array:
 
 @dataclass(frozen=True)
 class Problem:
-    """cameras, places (places[0] = IDENTITY), `views[i][k]`: corners of camera k, poses[i]: the board.
+    """`views[i][k]`: corners of camera k; poses[i]: the board; places[0] = IDENTITY.
 
     free: estimated parameters, a row per camera; (): none, nor places.
     """
@@ -90,9 +90,9 @@ class Problem:
 
 @dataclass(frozen=True)
 class Solution:
-    """`residuals[i][k]` (N, 2) measured minus predicted [px]; covariance of all shared unknowns (fixed: 0).
+    """`residuals[i][k]` (N, 2): measured minus predicted [px]; covariance: of shared unknowns (fixed: 0).
 
-    rms: of lengths; widened: variance factor for common errors; bow: of the board, over its length.
+    widened: variance factor for common errors; bow: of the board, over its length.
     """
 
     problem: Problem

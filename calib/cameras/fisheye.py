@@ -1,4 +1,4 @@
-"""First estimate of a fisheye: OpenCV's equidistant calibration as the equal rational model."""
+"""First estimate of a fisheye."""
 
 import cv2
 import numpy as np

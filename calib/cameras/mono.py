@@ -1,7 +1,4 @@
-"""One camera from a board: Zhang's calibration (thesis eq. 3.52-3.72), then bundle adjustment.
-
-Outlier views are dropped; held-out views test the prediction.
-"""
+"""One camera from a board: Zhang's calibration (thesis eq. 3.52-3.72), then bundle adjustment."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

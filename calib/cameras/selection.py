@@ -1,4 +1,4 @@
-"""About twenty images that differ most, and whether that is enough."""
+"""About twenty images that differ most."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -17,7 +17,7 @@ _GRID = 8  # cells a side of the coverage
 
 
 def check_sizes(views: Sequence[View], what: str = "images") -> None:
-    """Refuse images of different sizes: a camera is known for one size."""
+    """Refuse images of different sizes."""
     sizes = {(v.width, v.height): v.name for v in views}
     if len(sizes) > 1:
         (one, name), (other, other_name) = list(sizes.items())[:2]

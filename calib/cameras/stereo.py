@@ -1,6 +1,6 @@
 """Two cameras from board pairs: x_r = R_rc @ x_c + t_rc (thesis 3.8-3.9, 5.1.3).
 
-Each alone, then one bundle adjustment. Epipolar geometry:
+Epipolar geometry:
 
     E = [t_rc]x R_rc,   F = K_r^-T E K_l^-1,   (u_r, 1) F (u_l, 1)^T = 0          (thesis eq. 3.96-3.127)
 """
@@ -35,7 +35,7 @@ class Pair(NamedTuple):
 
 @dataclass(frozen=True)
 class Stereo:
-    """A rig; corner distances [px] from epipolar lines, raw, and rectified rows.
+    """Corner distances [px] from epipolar lines, raw, and rectified rows.
 
     held_out: rectified, pairs left out; square_m: mean triangulated square.
     """

@@ -1,4 +1,4 @@
-"""Rigs on disk: our YAML, and OpenCV's, Kalibr's and ROS' formats. Begin with `formats` and `rig_yaml`.
+"""Rigs on disk. Begin with `formats`.
 
 May import calib.errors and models.
 """

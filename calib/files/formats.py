@@ -51,9 +51,9 @@ class Format(StrEnum):
 
 
 def load_rig(path: str | Path) -> StereoRig:
-    """A stereo rig of any format; ROS: either of NAME_left.yaml, NAME_right.yaml. Raises CalibrationError.
+    """A stereo rig of any format. Raises CalibrationError.
 
-    Without a body pose it looks forward at the IMU, covariance rig_yaml.UNKNOWN_POSE.
+    Without a body pose: forward, covariance rig_yaml.UNKNOWN_POSE.
     """
     rig = load_cameras(path)
     if rig.one_camera:
@@ -95,7 +95,7 @@ def load_camera(path: str | Path, side: str = "left") -> CameraModel:
 
 
 def save_rig(path: str | Path, rig: StereoRig, form: Format | None = None) -> list[Path]:
-    """Write a rig; form by default from the name (.xml, .yml: OpenCV). Returns the files."""
+    """Write a rig, form by name (.xml, .yml: OpenCV). Returns the files."""
     path = Path(path)
     try:
         texts = _rig_texts(path, rig, form or _form_of(path))

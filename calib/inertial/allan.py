@@ -26,7 +26,7 @@ _INSTABILITY = 2.0 * np.log(2.0) / np.pi
 
 @dataclass(frozen=True)
 class Noise:
-    """One axis: N, B, K with sigmas; tau_s, adev: curve; white_from_s: shortest fitted time, nan: N of the longest."""
+    """One axis; tau_s, adev: curve; white_from_s: shortest fitted time, nan: N of the longest."""
 
     density: float
     instability: float
@@ -41,7 +41,7 @@ class Noise:
 
     @property
     def walk_seen(self) -> bool:
-        """Whether the record is long enough to distinguish the walk from none."""
+        """Whether the walk differs from none."""
         return self.walk > _SEEN * self.walk_sigma
 
     def model(self, tau_s: Array) -> Array:

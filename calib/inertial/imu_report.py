@@ -1,4 +1,4 @@
-"""Verdicts, tables and images of the two calibrations that have an IMU in them."""
+"""Verdicts, tables, images of calibrations with an IMU."""
 
 from typing import Final
 
@@ -130,7 +130,7 @@ def static_figure(result: Static) -> Figure:
 
 
 def camera_imu_figure(result: CameraImu) -> Figure:
-    """Normalised innovations over time and their distribution next to the normal one."""
+    """Normalised innovations over time, and their distribution."""
     figure = Figure(figsize=(12.0, 7.0), layout="constrained")
     axes = figure.subplots(2, 2, width_ratios=(3, 1))
     for row, (part, what) in enumerate(((slice(0, 3), "position of the board"), (slice(3, 6), "rotation of the board"))):

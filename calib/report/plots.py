@@ -18,7 +18,7 @@ _VECTOR_PART = 0.05  # of the image's width that the 95th percentile of the resi
 
 
 def mono_figure(result: Mono) -> Figure:
-    """Coverage, residual vectors, residuals of each view, their scatter."""
+    """Coverage and residuals."""
     residuals = [view[0] for view in result.solution.residuals if view[0] is not None]
     figure = Figure(figsize=(12.0, 8.6), layout="constrained")
     axes = figure.subplots(2, 2)

@@ -1,1 +1,1 @@
-"""Boards seen by cameras whose truth is known, and moving ones. May import everything of calib."""
+"""Boards seen by known cameras. May import everything of calib."""

@@ -54,7 +54,7 @@ class Painter:
 
 
 def poses(cameras: Sequence[tuple[CameraModel, Pose]], board: Board, count: int, rng: np.random.Generator) -> list[Pose]:
-    """Hand-held board poses: whole image, tilts to 40 degrees, seen by all cameras."""
+    """Hand-held board poses, tilts to 40 degrees, seen by all cameras."""
     first = cameras[0][0]
     middle = board.points.mean(axis=0)
     chosen: list[Pose] = []

@@ -1,4 +1,4 @@
-"""Quality of an estimate: errors, consistency, drift in outages, decisions; of one log or several.
+"""Quality of an estimate.
 
-Begin with `evaluate`. May import logs.store, logs.wire and models.
+Begin with `evaluate`. May import logs.store, logs.wire, models.
 """

@@ -15,9 +15,9 @@ _LEAST, _LEAST_M, _RATIO = 10, 2.0, 3.0  # fixes; of the larger distance, and of
 
 
 def contradiction(collected: Collected) -> str:
-    """A sentence with both median horizontal distances of a receiver's fixes, m; "" where they are alike or not known.
+    """A sentence with both median horizontal distances [m]; "" where alike or unknown.
 
-    A fix that was fused is no independent witness for the estimate: the sentence names the disagreement, and decides nothing.
+    It names the disagreement only: a fused fix is no independent witness.
     """
     name = collected.yardstick
     for topic in sorted({a.topic for a in collected.aids if a.kind == _POSITION} & collected.fixes.keys()):

@@ -1,4 +1,4 @@
-"""Contents of a log for its evaluation, read in one pass: estimate, truth, decisions."""
+"""Contents of a log for its evaluation, in one pass."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -59,8 +59,8 @@ class Fixes:
 class Collected:
     """The evaluated part of a log.
 
-    aids: last decision on each measurement; truth: perhaps empty; reference: kind of a truth that is the autopilot's estimate;
-    unreadable: malformed messages; origin: of map, if known; every: thinning of `estimates`.
+    aids: last decision on each measurement; reference: kind of a truth that is the autopilot's estimate; unreadable: malformed
+    messages; every: thinning of `estimates`.
     """
 
     estimate: Trajectory
@@ -198,7 +198,7 @@ def read(
 ) -> Collected:
     """The Collected of a log; progress gets the fraction done.
 
-    most: estimates and truths kept; see: gets every record. Raises LogError without an estimate or the wanted truth.
+    most: kept; see: gets every record. Raises LogError without an estimate or the wanted truth.
     """
     collector = Collector(truth_topic, most)
     with LogReader(path) as reader:

@@ -50,8 +50,8 @@ _RELATIVE_S, _RELATIVE_M = (1.0, 10.0), (10.0, 100.0)
 class Comparison:
     """Estimate and truth at n common stamps; errors are true minus estimated.
 
-    p_error: (n, 3) m, p_covariance: (n, 3, 3) of both; theta_error: (n, 3) rad about map axes, v_error: (n, 3) m/s along the
-    body, nan: not given; left_out: truth stamps without estimate.
+    p_error (n, 3) m; p_covariance (n, 3, 3) of both; theta_error (n, 3) rad about map axes; v_error (n, 3) m/s along the body;
+    left_out: truths without estimate.
     """
 
     estimate: Trajectory
@@ -187,8 +187,7 @@ def evaluate(
 ) -> Evaluation:
     """Evaluate /landfix/odometry against a truth in the log, or without one.
 
-    truth_topic: Odometry, PoseWithCovarianceStamped, PoseStamped or NavSatFix; burn_in_s: not compared; outage_s: see
-    find_outages; without_odometry: the same flight without. Raises LogError.
+    burn_in_s: not compared; outage_s: see find_outages; without_odometry: the same flight without. Raises LogError.
     """
     collected = read(path, truth_topic, progress, most=MOST)
     without = read(without_odometry, truth_topic, most=MOST).estimate if without_odometry else None

@@ -153,7 +153,7 @@ def drift(p_error: Array, p_true: Array) -> Drift:
 
 
 def nees(error: Array, covariance: Array) -> Array:
-    """e' P^-1 e, (n,); inf unless P is finite, symmetric (1e-6), positive definite (Bar-Shalom et al. 2001, eq. 5.4.2-2)."""
+    """e' P^-1 e, (n,); inf unless P is positive definite (Bar-Shalom et al. 2001, eq. 5.4.2-2)."""
     values = np.full(len(error), np.inf)
     sound = np.isfinite(covariance).all(axis=(1, 2)) & np.isfinite(error).all(axis=1)
     sound = np.asarray(sound & np.isclose(covariance, covariance.mT, rtol=1e-6, atol=1e-12).all(axis=(1, 2)))
@@ -200,7 +200,7 @@ def effective_samples(x: Array) -> float:
 class Consistency(msgspec.Struct, frozen=True):
     """Consistency of a covariance; mean = NEES / dof.
 
-    band: 95 % interval of the mean; inside: share within the sample's interval; covered: within the 95 % ellipsoid.
+    band: 95 % of the mean; inside: share within the sample's interval; covered: within the 95 % ellipsoid.
     """
 
     dof: int

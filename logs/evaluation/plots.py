@@ -1,6 +1,6 @@
-"""Plots of a flight: from above, errors in bands, horizontal error and 95 % radius.
+"""Plots of a flight.
 
-matplotlib Figures (no pyplot); time in s from the first estimate; colours of Okabe & Ito.
+matplotlib Figures; s from the first estimate; colours of Okabe & Ito.
 """
 
 from typing import Any, Final

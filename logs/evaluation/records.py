@@ -15,7 +15,7 @@ class RelativeError(msgspec.Struct, frozen=True):
 
 
 class Accuracy(msgspec.Struct, frozen=True):
-    """Errors against the truth; position_m: unaligned ATE, *_aligned_m: yaw and shift, rigid, similarity.
+    """Errors against the truth; position_m: unaligned, *_aligned_m: yaw and shift, rigid, similarity.
 
     aided_*: outside outages; tilt_deg, heading_deg; n = 0: not in the truth.
     """
@@ -53,8 +53,8 @@ class ConsistencySummary(msgspec.Struct, frozen=True):
 class Outage(msgspec.Struct, frozen=True):
     """A span without absolute information of a source or "all"; start_s from the first estimate.
 
-    Without truth drift and the following are None; nees_position: mean NEES / 3; radius95_end_m; increments: fused odometry;
-    without_odometry_m: final error without.
+    Without truth drift and the following are None; nees_position: mean NEES / 3; increments: fused odometry; without_odometry_m:
+    final error without.
     """
 
     source: str
@@ -81,7 +81,7 @@ class Percentiles(msgspec.Struct, frozen=True):
 class AidSummary(msgspec.Struct, frozen=True):
     """Decisions on a source's measurements of a kind.
 
-    reasons: counts, most frequent first; revised: changed later; nis: of the fused; test_ratio: of the fused, 1 is the gate.
+    revised: changed later; nis, test_ratio: of the fused, 1 is the gate.
     """
 
     topic: str
@@ -104,9 +104,7 @@ class ResetRow(msgspec.Struct, frozen=True):
 
 
 class Evaluation(msgspec.Struct, frozen=True):
-    """distance_m: along truth or estimate; compared, without_estimate: truth samples; without_truth: estimates; modes: shares of
-    time.
-    """
+    """compared, without_estimate: truth samples; without_truth: estimates; modes: shares of time."""
 
     log: str
     compared_with: str  # "truth", or "reference (the autopilot's own estimate)"

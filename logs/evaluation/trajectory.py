@@ -23,8 +23,7 @@ _ENCAPSULATION = 4  # bytes before the CDR body
 class Trajectory:
     """n poses by distinct stamps; nan: not given.
 
-    t_ns, arrived_ns: (n,) int64; p: (n, 3) m; q_wxyz: (n, 4) body -> map; v_body: (n, 3) m/s; covariance: (n, 6, 6), x y z rx ry
-    rz; v_covariance: (n, 3, 3).
+    p (n, 3) m; q_wxyz (n, 4) body -> map; v_body (n, 3) m/s; covariance (n, 6, 6), x y z rx ry rz; v_covariance (n, 3, 3).
     """
 
     t_ns: Times
@@ -77,7 +76,7 @@ def _stamps(data: Sequence[bytes]) -> Times:
 def from_rows(t_ns: Times, arrived_ns: Times, x: Array) -> Trajectory:
     """Trajectory of rows of 3 (position), 7 (pose), 43 (covariance) or 85 (twist) doubles.
 
-    The first of equal stamps counts; quaternions (xyzw) not of length 1, or of "not given" variance, are dropped.
+    The first of equal stamps counts; quaternions (xyzw) not of length 1 are dropped.
     """
     t_ns, first = np.unique(t_ns, return_index=True)
     x, arrived_ns = x[first], arrived_ns[first]

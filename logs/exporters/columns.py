@@ -29,7 +29,7 @@ _NOT_GIVEN_M2: Final = 9e4  # a variance from here on says "not given"
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows of a topic. origin: (lat_deg, lon_deg, alt_m); geoid_m: geoid above the ellipsoid."""
+    """Rows of a topic. origin: (lat_deg, lon_deg, alt_m)."""
 
     topic: str
     columns: Columns

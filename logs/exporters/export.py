@@ -67,9 +67,9 @@ def export(
     geoid_m: float | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Exported:
-    """Write a topic's poses; rate_hz: at most, 0: all, None: all, two for kml and gpx. Raises LogError.
+    """Write a topic's poses; rate_hz: 0: all, None: all, two for kml and gpx. Raises LogError.
 
-    geoid_m: geoid above the ellipsoid, None: the log's; for heights in kml and gpx.
+    geoid_m: for kml and gpx, None: the log's.
     """
     check_output(out, log)
     kind = kind or format_of(out)

@@ -1,6 +1,6 @@
-"""Faults of stamps against arrivals, where most other streams agree with these.
+"""Faults of stamps against arrivals.
 
-offset = stamp - arrival: negative for delays, growing for fast clocks, jumping for set ones.
+offset = stamp - arrival.
 """
 
 from typing import Final, NamedTuple

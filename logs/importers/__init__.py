@@ -44,7 +44,7 @@ _READING = 0.3  # its share of the work
 
 
 def kind_of_name(name: str) -> str | None:
-    """Kind by the name's ending; None: unknown (.mcap may be either)."""
+    """Kind by the name's ending, or None."""
     return _SUFFIXES.get(PurePath(name).suffix.lower())
 
 

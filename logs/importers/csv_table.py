@@ -1,6 +1,6 @@
 """A CSV file (or gzipped) as numbers, columns by header name and unit.
 
-Non-numbers are nan, lines of another length dropped, torn files read to the end: counted in `notes`.
+Non-numbers: nan; lines of another length: dropped; counted in `notes`.
 """
 
 import re
@@ -168,7 +168,7 @@ def _over_midnight(t_ns: Times) -> tuple[Times, int]:
 
 
 def _plain(header: str) -> str:
-    """A header as a name: "w_RS_S_x [rad s^-1]" -> "w_rs_s_x_rad_s_1"; "field.latitude" -> "latitude"."""
+    """As in "w_RS_S_x [rad s^-1]" -> "w_rs_s_x_rad_s_1"; "field.latitude" -> "latitude"."""
     return re.sub(r"[^a-z0-9]+", "_", header.strip().lower().removeprefix("field.")).strip("_")
 
 

@@ -126,7 +126,7 @@ def _open(source: Path) -> Any:
 
 
 def _is_damaged(source: Path, lengths: Mapping[int, int]) -> bool:
-    """Whether something else stands where a message should begin; lengths by number of message. The end may be cut or padded."""
+    """Whether something else stands where a message should begin; the end may be cut."""
     with source.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
         at, end = 0, len(data)
         while at + 2 < end and data[at : at + 2] == _MAGIC and (length := lengths.get(data[at + 2], 0)) > 2:

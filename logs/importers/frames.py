@@ -1,8 +1,8 @@
-"""Foreign axes to NED and FRD, by letters: "frd", "flu", "urf"; "ned", "enu".
+"""Foreign axes to NED and FRD: "frd", "flu", "urf"; "ned", "enu".
 
     x_frd = B x_file,  x_ned = W x_file,  R_nb = W R_file B^T
 
-B and W are rotations: left-handed axes are refused.
+Left-handed axes are refused.
 """
 
 import numpy as np

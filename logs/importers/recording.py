@@ -57,8 +57,7 @@ Message: TypeAlias = Input | Truth
 class ImportOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What a log does not contain; "": as the log or data set.
 
-    axes: IMU x, y, z, letters f/b, r/l, u/d (csv, euroc); world: n/s, e/w, u/d (csv, euroc); imu: which; pose_fix_hz: vision.csv
-    as fixes (csv); odometry: as odometry (csv).
+    axes: IMU x, y, z as f/b, r/l, u/d; world: n/s, e/w, u/d (csv, euroc); pose_fix_hz, odometry: vision.csv as such (csv).
     """
 
     axes: str = ""
@@ -140,7 +139,7 @@ def _arrived(message: Message) -> int:
 
 
 def arrival(t_ns: Times) -> Times:
-    """Arrivals in file order: running maximum of stamps, outliers removed."""
+    """Arrivals: running maximum of stamps, outliers removed."""
     held = t_ns.copy()
     if len(t_ns) > 2:
         leaps = 1 + np.flatnonzero((t_ns[1:-1] > t_ns[2:]) & (t_ns[2:] >= t_ns[:-2]))

@@ -1,4 +1,4 @@
-"""Common forms: units, fix types, accuracies, pressure, origin of a truth."""
+"""Common forms of sensors."""
 
 import numpy as np
 
@@ -71,7 +71,7 @@ def navsat_status(fix_type: Array) -> Array:
 
 
 def variance_from_dop(hdop: Array, vdop: Array) -> Array:
-    """Variances (n, 3) NED, m^2, of HDOP and VDOP (n,); nan: not given.
+    """Variances (n, 3) NED, m^2, of HDOP and VDOP (n,).
 
     HDOP^2 UERE^2 = sigma_n^2 + sigma_e^2, VDOP UERE = sigma_d                                      (Groves 2013, eq. 9.144)
     """
@@ -101,7 +101,7 @@ def origin_of_truth(gnss: Stream, truth: Stream, delay_s: float, known: Vec3 | N
 
     origin = place of the fix (-) p_n, of the truth at its stamp less delay_s
 
-    `known` is taken where it agrees to 2 m per axis, or without overlap.
+    `known`: taken where it agrees to 2 m, or without overlap.
     """
     lla, status = gnss.columns[0], gnss.columns[2]
     p_n = _position_at(gnss.t_ns - round(delay_s * 1e9), truth)

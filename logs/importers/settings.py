@@ -1,6 +1,6 @@
-"""Configuration of an imported log (TOML), noise effective.
+"""Configuration of an imported log (TOML).
 
-Data sheet noise is up to 20 times too small; known data sets are tuned, others by vehicle kind.
+Noise is effective: tuned, or by vehicle kind.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,8 +24,8 @@ BY_KIND = "not known for this log: typical of a multirotor's vibration at 50 Hz;
 class Settings(msgspec.Struct, frozen=True):
     """A log's share of the configuration.
 
-    noise_reason; gnss_delay_s: age of a fix at its stamp; antenna_b_m: IMU to antenna; receiver, airspeed: keys of [gnss],
-    [airspeed]; hard_iron_ut: uT, body axes; origin: deg, deg, m, None: unknown.
+    gnss_delay_s: age of a fix at its stamp; antenna_b_m: IMU to antenna; receiver, airspeed: keys of [gnss], [airspeed];
+    hard_iron_ut: uT, body axes; origin: deg, deg, m.
     """
 
     noise: ImuNoise = MULTIROTOR
@@ -99,7 +99,7 @@ def _quoted(text: str) -> str:
 
 
 class DataSet(msgspec.Struct, frozen=True):
-    """A public collection of flights: IMU axes and other knowledge."""
+    """A public collection of flights."""
 
     axes: str = "frd"
     noise: ImuNoise = MULTIROTOR

@@ -14,7 +14,7 @@ from models.messages import Array, Vec3
 def truth(t_ns: Times, lla: Array, v_n: Array, q_nb_wxyz: Array, known: Vec3 | None) -> tuple[Stream, Vec3]:
     """Truth and its origin: the log's, else the first position.
 
-    lla (n, 3) deg, deg, m above the sea; v_n (n, 3) m/s; q_nb_wxyz (n, 4), any length; nan: not given; n > 0.
+    lla (n, 3) deg, deg, m above the sea; v_n (n, 3) m/s; q_nb_wxyz (n, 4), any length; n > 0.
     """
     lat, lon, alt = lla[0].tolist()
     origin = known or (lat, lon, alt)

@@ -1,4 +1,4 @@
-"""Odometry steps of a log to increments (cameras, flow) and velocities (wheels): increments.py."""
+"""Odometry steps of a log to increments and velocities (increments.py)."""
 
 from collections.abc import Iterable
 
@@ -29,7 +29,7 @@ def flow(
     t_ns: Times, arrived_ns: Times, dt_ns: Times, seen: Array, turn: Array, own_m: Array, streams: Iterable[Stream],
     notes: list[str],
 ) -> list[Stream]:  # fmt: skip
-    """seen (n, 2), turn (n, 3) rad over dt_ns, own_m (n,): range; nan: not given; streams: IMU, range finder."""
+    """seen (n, 2), turn (n, 3) rad over dt_ns, own_m (n,): range; streams: IMU, range finder."""
     by_topic = {stream.topic: stream for stream in streams}
     imu = by_topic["/imu"]
     turn = np.where(np.isnan(turn), _turned(imu, t_ns - dt_ns, t_ns), turn)

@@ -18,7 +18,7 @@ class TopicRow(msgspec.Struct, frozen=True):
 
 
 class ImportSummary(msgspec.Struct, frozen=True):
-    """Log, configuration, messages by topic, notes, faulty streams; topics: of a bag."""
+    """topics: of a bag."""
 
     out: str
     config: str

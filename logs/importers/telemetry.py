@@ -1,6 +1,6 @@
-"""A MAVLink telemetry log (.tlog) as tables of messages by name, by pymavlink.
+"""A MAVLink telemetry log (.tlog) as tables, by pymavlink.
 
-The vehicle with most messages counts. Stamps are since boot; the fastest message dates it.
+Of the vehicle with most messages. The fastest message dates the boot.
 """
 
 import re

@@ -1,4 +1,4 @@
-"""The report: map, plots, rejections in one HTML file; scripts and style beside.
+"""The report: one HTML file.
 
-Begin with `write`. May import logs.evaluation and the layers below it.
+Begin with `write`. May import logs.evaluation and what is below it.
 """

@@ -86,8 +86,7 @@ class Histogram:
 class Gathered:
     """see() takes records in order, then close().
 
-    signals: position, velocity ENU, roll pitch heading (unwrapped deg), 1.96 sigma of each, 95 % radius; numbers: NUMBERS of
-    health; states: mode, sources.
+    signals: position, velocity ENU, roll pitch heading (unwrapped deg), 1.96 sigma of each, 95 % radius; numbers: of health.
     """
 
     estimates: int = 0
@@ -236,7 +235,7 @@ def attitude_deg(q_wxyz: Array) -> Array:
 
 
 def sigmas(estimate: Trajectory) -> Array:
-    """Sigmas (n, 9): position, velocity ENU [m, m/s], roll, pitch, heading [deg], first order in tilt."""
+    """Sigmas (n, 9): position, velocity ENU [m, m/s], roll, pitch, heading [deg]."""
     p = np.diagonal(estimate.covariance, axis1=1, axis2=2)[:, :3]
     R_mb = _matrices(estimate.q_wxyz)
     v = np.einsum("nij,njk,nik->ni", R_mb, estimate.v_covariance, R_mb)

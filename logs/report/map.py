@@ -1,4 +1,4 @@
-"""The flight from above: path by mode, truth, 95 % ellipses, fixes, landmarks."""
+"""The flight from above."""
 
 from collections.abc import Collection, Sequence
 from typing import Final

@@ -45,7 +45,7 @@ class Shot(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Illustrations:
-    """Additions of vision: landmarks, images, remark on what is missing."""
+    """Additions of vision."""
 
     landmarks: Sequence[Landmark] = ()
     shots: Sequence[Shot] = ()

@@ -1,4 +1,4 @@
-"""Plots of a report: errors, states, biases, innovations, health, times."""
+"""Plots of a report."""
 
 from collections.abc import Iterable
 from statistics import mode

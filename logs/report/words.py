@@ -97,7 +97,7 @@ def findings(e: Evaluation, collected: Collected, gathered: Gathered) -> list[Fi
 
 
 def at_fault(attachments: Iterable[Attachment]) -> list[Finding]:
-    """Faulty streams found by a replay, first: others may follow from them."""
+    """Faulty streams found by a replay."""
     data = next((a.data for a in attachments if a.name == FINDINGS_ATTACHMENT), b"[]")
     try:
         causes = msgspec.json.decode(data, type=list[Cause])

@@ -11,9 +11,7 @@ from models.untrusted.limits import check
 
 
 def content_of(chunk: Chunk, allowed: int) -> bytes:
-    """Records of a chunk, size and CRC checked; allowed: bytes. Raises TooLargeError, ValueError, or the decompressor's
-    errors.
-    """
+    """Records of a chunk, checked; allowed: bytes. Raises TooLargeError, ValueError, the decompressor's errors."""
     size = chunk.uncompressed_size
     check(size, len(chunk.data), allowed)
     if chunk.compression == "zstd":

@@ -1,4 +1,4 @@
-"""MCAP writer for many small messages: LZ4, same bytes as mcap.writer.Writer at a third of its cost (mcap.dev/spec)."""
+"""MCAP writer: LZ4, same bytes as mcap.writer.Writer at a third of its cost (mcap.dev/spec)."""
 
 import struct
 import zlib

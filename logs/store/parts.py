@@ -21,7 +21,7 @@ _RECOVERED: Final = ".recovered"  # before the suffix: what recovery could save 
 class PartsReader:
     """A LogReader of all parts in order of recording.
 
-    source: a file, a folder with one flight's parts, or files. Attributes are complete after iteration. Raises LogError.
+    source: a file, a folder of one flight's parts, or files. Complete after iteration. Raises LogError.
     """
 
     def __init__(self, source: Path | Sequence[Path]) -> None:

@@ -41,7 +41,7 @@ def check_output(out: Path, *inputs: Path) -> None:
 
 
 class LogReader:
-    """Iterates over an MCAP log's messages; a context manager. Raises LogError.
+    """Iterates over a log's messages. Raises LogError.
 
     Complete after iteration: torn, skipped_chunks (damage), attachments, metadata, foreign (topics not CDR).
     """

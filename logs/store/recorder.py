@@ -1,4 +1,4 @@
-"""Writing a log: MCAP, LZ4, profile ros2; a killed process loses at most 0.1 s."""
+"""Writing a log: MCAP, LZ4, profile ros2; a kill loses 0.1 s at most."""
 
 import errno
 import os
@@ -42,10 +42,10 @@ _QOS: Final = """\
 
 
 class Recorder:
-    """Writes messages; a context manager that completes the file. Equal calls write equal bytes. Raises LogError.
+    """Writes messages. Equal calls write equal bytes. Raises LogError.
 
-    metadata: of the record `landfix`; schemas: other types, on demand. An image has its own chunk; a chunk spans less than 0.1 s
-    of log time; flush() serves a silent log.
+    metadata: of the record `landfix`; schemas: other types. An image has its own chunk; a chunk spans less than 0.1 s of log
+    time.
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class Recorder:
         self.flush()
 
     def flush(self) -> None:
-        """Hand all to the operating system: survives this process, not a power cut."""
+        """Hand all to the operating system."""
         with self._one_line():
             self._hand_over()
         self._chunk_start_ns = None

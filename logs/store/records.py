@@ -1,7 +1,7 @@
 """Whole MCAP records of a damaged file, in file order, without exceptions (mcap.dev/spec).
 
-Chunks with a wrong CRC or beyond models.untrusted.limits are dropped. After damaged framing reading goes on at the next chunk, up
-to _VAIN_RATIO times the file's size in vain.
+Chunks of wrong CRC or beyond models.untrusted.limits are dropped. After damage reading goes on at the next chunk, up to
+_VAIN_RATIO times the file's size.
 """
 
 import contextlib
@@ -72,8 +72,8 @@ class LogError(Exception):
 class RecordFile:
     """Messages of an MCAP file; attributes are complete after them.
 
-    profile: "" if lost; channels, schemas: by id; torn: no proper end; skipped_chunks: damage; orphans: messages of a lost
-    channel; expected: writer's count or None.
+    channels, schemas: by id; torn: no proper end; skipped_chunks: damage; orphans: messages of a lost channel; expected: writer's
+    count.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:

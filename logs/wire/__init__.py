@@ -1,4 +1,4 @@
-"""Messages as bytes: CDR, type texts, axes, stamps. Begin with `codec` and `schemas`.
+"""Messages as bytes. Begin with `codec`, `schemas`.
 
 May import models.
 """

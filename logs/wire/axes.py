@@ -1,6 +1,6 @@
 """Axes at the wire: map ENU <-> n NED, base_link FLU <-> body FRD, self-inverse permutations.
 
-Covariances are permuted, not multiplied: NaN and "not given" keep their element.
+Covariances are permuted: NaN keeps its element.
 """
 
 import math
@@ -75,7 +75,7 @@ def body_covariance(p: Array) -> Array:
 
 
 class ImuMounting(msgspec.Struct, frozen=True):
-    """IMU driver axes and attitude in the body: x_b = Rz(yaw) Ry(pitch) Rx(roll) x_imu, FRD; others: by topic."""
+    """IMU in the body: x_b = Rz(yaw) Ry(pitch) Rx(roll) x_imu, FRD; others: by topic."""
 
     axes: Literal["flu", "frd"] = "flu"
     roll_deg: float = 0.0

@@ -1,6 +1,6 @@
 """Wire <-> records: CDR in ENU / FLU outside, models.messages in NED / FRD inside.
 
-header.stamp is validity; arrival is the receiver's. Other types become Unusable; strange values pass.
+Other types become Unusable; strange values pass.
 """
 
 from logs.wire.axes import ImuMounting

@@ -336,7 +336,7 @@ def _checkpoint(checkpoint: Checkpoint) -> dict[str, Any]:
 def _nav_sat_fix(
     topic: str, t_ns: int, frame: str, lla: Vec3, covariance_n: Array | None, status: int, state: int = 0
 ) -> Encoded:
-    """state: ReceiverState, in service's top four bits, unused by constellations."""
+    """state: ReceiverState, in service's top four bits."""
     covariance = np.zeros((3, 3)) if covariance_n is None else axes.world_covariance(covariance_n)
     return packed(
         topic,

@@ -1,4 +1,4 @@
-"""Images to and from the wire; inside (H, W) grey, 8 or 16 bit, or (H, W, 3) BGR; the only image decoder."""
+"""Images to and from the wire: (H, W) grey, 8 or 16 bit, or (H, W, 3) BGR."""
 
 from typing import Any, Final, TypeAlias
 
@@ -80,7 +80,7 @@ def _unpacked(message: Any) -> Pixels:
 
 
 def decode_file(content: bytes | NDArray[np.uint8], most_pixels: int = CAMERA_PIXELS) -> Pixels:
-    """Image of a JPEG, PNG, TIFF, BMP, WebP or PNM file, EXIF orientation ignored. Raises ImageError."""
+    """Image of a file, EXIF orientation ignored. Raises ImageError."""
     data = np.frombuffer(content, np.uint8)
     header = image_header(data.data)
     if header is None:

@@ -206,7 +206,7 @@ _LATER: Final = {LANDMARK_FIX: (b"directions", 8)}  # a field that a type's firs
 
 
 def missing_end(name: str, text: bytes) -> bytes:
-    """What a message of older definition `text` lacks at its end: empty sequences, or nothing."""
+    """What a message of older definition `text` lacks at its end."""
     field, size = _LATER.get(name, (b"", 0))
     return bytes(size) if size and field not in text else b""
 

@@ -1,4 +1,4 @@
-"""Landmarks on a map: outlines, heights, colours, look-up, GeoJSON. Begin with `landmarks`.
+"""Landmarks on a map. Begin with `landmarks`.
 
 May import the modules of models, not models.sim.
 """

@@ -92,7 +92,7 @@ def _on_earth(origin: Vec3) -> bool:
 
 
 def exchanged(lonlat: Array, offsets: NDArray[np.int64]) -> bool:
-    """Whether corners are right angles only with latitude and longitude exchanged."""
+    """Whether right angles need latitude and longitude exchanged."""
     lonlat, offsets = lonlat[: offsets[_ENOUGH]] if len(offsets) > _ENOUGH else lonlat, offsets[: _ENOUGH + 1]
     if len(lonlat) < 40 or np.abs(lonlat).max() > 90.0:
         return False

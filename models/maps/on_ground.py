@@ -1,4 +1,4 @@
-"""OpenStreetMap tags on the ground: pools, courts, parking bays, water, lines.
+"""OpenStreetMap tags of what lies on the ground.
 
 Width: `width`, else 3.25 m a lane, else the kind's usual +-1 m a side.
 """

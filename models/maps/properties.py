@@ -1,6 +1,6 @@
 r"""GeoJSON properties to a landmark's attributes.
 
-Our names (`height_m`) win over OpenStreetMap's (`height`, `building:levels`, `roof:colour`; "7.5 m", "25'6\"") and others'.
+Our names (`height_m`) win over OpenStreetMap's and others'.
 """
 
 import math

@@ -17,7 +17,7 @@ WEIGHTS: Weights = (0.20966, 0.30413, 0.302214, 0.209658)  # size, width, length
 class Columns(msgspec.Struct, frozen=True, eq=False):
     """N landmarks: vertices (V, 2) north, east, offsets (N + 1,).
 
-    base_d: down of the ground; colour_bgr: (N, 3), -1 = unknown; weights, names: only own ones.
+    base_d: down of the ground; colour_bgr (N, 3), -1: unknown; weights, names: own ones.
     """
 
     ids: list[str]

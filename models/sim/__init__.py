@@ -1,4 +1,4 @@
-"""Simulation: motion, sensor errors, faults, TOML scenarios, Cramer-Rao bound.
+"""Simulation, Cramer-Rao bound.
 
 May import models.
 """

@@ -1,4 +1,4 @@
-"""Cameras in a scenario: rig, world, exposure, outages (vision.synthetic draws)."""
+"""Cameras in a scenario (vision.synthetic draws)."""
 
 from typing import Annotated, Literal
 
@@ -12,8 +12,7 @@ Pixels = Annotated[int, msgspec.Meta(ge=64, le=4096)]
 class Village(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The world below, and the map's errors.
 
-    layout: anywhere, streets, or similar landmarks; area_m: side, spacing_m: between buildings; clear_m: around take-off;
-    painted: strong colours; unmapped, gone: shares; seed: another village.
+    area_m: side, spacing_m: between buildings; clear_m: around take-off; painted: strong colours; unmapped, gone: shares.
     """
 
     layout: Literal["village", "grid", "lookalikes"] = "village"
@@ -32,8 +31,8 @@ class Village(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 class Cameras(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A stereo rig that looks down by -pitch_deg (-90: straight down); one_camera: left only.
 
-    sees: colour, grey (8 bit), thermal (16 bit, night); exposure_s; haze_per_m: extinction; light_swing: share; jpeg_quality: 0:
-    none; delay_s: exposure to arrival; outages_s: no images; dark_s: lens covered; odometry: on.
+    sees: colour, grey (8 bit), thermal (16 bit, night); haze_per_m: extinction; light_swing: share; jpeg_quality: 0: none;
+    delay_s: exposure to arrival; outages_s: no images; dark_s: lens covered.
     """
 
     rate_hz: Rate = 2.0

@@ -1,6 +1,6 @@
 """A scenario (vehicle, sensors, faults); simulate(scenario, seed) -> messages and truth.
 
-Each sensor has its own random stream: others do not change it.
+Each sensor has its own random stream.
 """
 
 from dataclasses import dataclass
@@ -60,8 +60,7 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 class Truth:
     """True motion at IMU rate; body against n, SI.
 
-    t_ns (n,); p_n, v_n, omega_b (n, 3); q_nb_wxyz (n, 4); R_nb (n, 3, 3); gyro_b, accel_b (n, 3): perfect IMU; gyro_bias,
-    accel_bias (n, 3).
+    p_n, v_n, omega_b (n, 3); q_nb_wxyz (n, 4); R_nb (n, 3, 3); gyro_b, accel_b (n, 3): perfect IMU.
     """
 
     t_ns: NDArray[np.int64]

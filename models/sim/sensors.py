@@ -55,8 +55,7 @@ GRADES = {
 class Imu(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """An IMU of a grade; the second group is unknown to the filter (off by default).
 
-    turn_on: factor on the bias; delay_s; noise_multiplier; scale_sigma; misalignment_deg: of each axis; *_step: quantisation;
-    *_limit: saturation.
+    turn_on: factor on the bias; misalignment_deg: of each axis; *_step: quantisation; *_limit: saturation.
     """
 
     grade: Literal["hobby", "flight_controller", "industrial", "tactical"] = "flight_controller"

@@ -1,4 +1,4 @@
-"""One boundary for what reads bytes from outside: whatever goes wrong behind it becomes one line, with file, place and reason."""
+"""One boundary for what reads bytes from outside: any exception becomes one line."""
 
 import traceback
 from collections.abc import Iterator

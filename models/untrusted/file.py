@@ -1,4 +1,4 @@
-"""A file that a person names: opened without waiting, read no further than a bound."""
+"""A file that a person names: opened without waiting, read to a bound."""
 
 import errno
 import os

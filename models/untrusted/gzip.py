@@ -1,4 +1,4 @@
-"""A gzip file as a stream: bounded, and read as far as it goes where it is torn."""
+"""A gzip file as a stream: bounded, read as far as it goes."""
 
 import io
 import zlib

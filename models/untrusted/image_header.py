@@ -1,4 +1,4 @@
-"""Size and depth of an image by its header, before a decoder takes memory for its pixels.
+"""Size and depth of an image by its header, before it is decoded.
 
 JPEG (ITU-T T.81, B.2.2), PNG (ISO 15948, 11.2.2), TIFF 6.0 and BigTIFF, BMP, WebP (RFC 9649), PBM to PPM (Netpbm).
 """

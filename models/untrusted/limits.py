@@ -3,7 +3,7 @@
     allowed(n) = SPARE_BYTES + ratio n
     records(n) = SPARE_RECORDS + n
 
-A piece unpacked at once is bounded by PIECE_BYTES too, a text by TEXT_BYTES.
+A piece unpacked at once: PIECE_BYTES; a text: TEXT_BYTES.
 """
 
 from typing import Final

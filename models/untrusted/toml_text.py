@@ -1,4 +1,4 @@
-"""TOML text -> table; whatever the text, what is wrong with it is one line."""
+"""TOML text -> table, errors in one line."""
 
 import re
 import tomllib

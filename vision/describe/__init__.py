@@ -1,4 +1,4 @@
-"""Regions of an image in metres: outline, width, length, size, fill ratio, colour.
+"""Regions of an image in metres.
 
     segment -> regions -> correspond (left and right) -> measure;  survey: all of it for a pair
 

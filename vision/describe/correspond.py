@@ -45,8 +45,7 @@ class Search:
 class Match:
     """A region in the right image; disparity = u_l - u_r.
 
-    points (M, 2), disparities (M,), sigmas (M,): cells [px]; plane: through them; score: coarse correlation; vertical_px: v_r -
-    v_l, sigma vertical_sigma_px.
+    points (M, 2), disparities, sigmas (M,): cells [px]; plane: through them; score: coarse correlation; vertical_px: v_r - v_l.
     """
 
     region: Region

@@ -1,7 +1,4 @@
-"""Vertical residual v_l - v_r of matched regions or edges: wrong calibration, unsynchronised shutters.
-
-Calibration errors along rows do not show.
-"""
+"""Vertical residual v_l - v_r of matched regions or edges."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -39,7 +36,7 @@ def region_residual(matches: Sequence[Match | Unmatched]) -> Residual | None:
 def edge_residual(
     left: Image, right: Image, rig: StereoRig, nearest_m: float = 4.0, vertical_px: int = 8, corners: int = _CORNERS
 ) -> Residual | None:
-    """From strong corners within vertical_px of their row; None with fewer than eight matches."""
+    """From strong corners; None with fewer than eight matches."""
     positions = cv2.goodFeaturesToTrack(left, corners, 0.02, 2.0 * _WINDOW)
     if positions is None:
         return None

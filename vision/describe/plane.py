@@ -1,4 +1,4 @@
-"""A plane in disparity, fitted robustly: disparity errors do not depend on depth.
+"""A plane in disparity, fitted robustly.
 
 n . x_c = h,  d - offset = f b / Z    =>    d(u, v) = c + p (u - u0) + q (v - v0)          exactly affine
 """

@@ -1,4 +1,4 @@
-"""Regions of a pair in metres: check, rectify, median, segment, regions, correspond, measure."""
+"""Regions of a pair in metres."""
 
 from dataclasses import dataclass, field
 from functools import lru_cache

@@ -2,7 +2,7 @@
 
     keypoints of both images (Lowe 2004) -> nearest two descriptors, ratio test -> RANSAC (P3P) -> pose of inliers and prior
 
-The prior selects the part of the map. Fails in another light or season.
+Fails in another light or season.
 """
 
 import math
@@ -39,7 +39,7 @@ _GATE = 13.8  # chi-square of 2, 99.9 %
 
 
 class FeatureConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Lowe's ratio, RANSAC's distance, and more inliers than the usual 10."""
+    """Limits of matching and acceptance."""
 
     most: Annotated[int, Meta(ge=50, description="keypoints of a camera's image")] = 1500
     most_in_map: Annotated[int, Meta(ge=50, description="keypoints of the map's image")] = 60_000
@@ -141,7 +141,7 @@ def recognise(
 def pose_of_matches(
     rig: StereoRig, matches: Matches, prior: Prior, map_image: GroundImage, config: FeatureConfig
 ) -> Recognised | NotRecognised:
-    """The pose of the matches: RANSAC, then the prior, whose scale, heading and tilt it must have."""
+    """RANSAC, then the prior, whose scale, heading and tilt it must have."""
     px, x_n, sigma_px = matches.px, matches.x_n, matches.sigma_px
     agree = _ransac(rig, px, x_n, matches.inlier_px)
     if len(agree) < _FEWEST:

@@ -22,9 +22,9 @@ _LEAST_LEVEL_PX = 32  # of a pyramid's coarsest image
 
 @dataclass(frozen=True, eq=False)
 class Heights:
-    """down (h, w) [m] on a raster, (north, east) = affine (u, v, 1), extended beyond its border.
+    """down (h, w) [m] on a raster, (north, east) = affine (u, v, 1).
 
-    unevenness_m: roofs and trees; slope [rad]: of the ground where unknown.
+    unevenness_m: roofs and trees; slope [rad]: where unknown.
     """
 
     down: Array
@@ -51,7 +51,7 @@ class Heights:
 
 @dataclass(frozen=True, eq=False)
 class GroundImage:
-    """image (H, W[, 3]), affine (2, 3), heights; sigma_m: position per axis, height_sigma_m: ground height.
+    """image (H, W[, 3]), affine (2, 3), heights; sigma_m: position per axis; height_sigma_m: ground.
 
     Raises ValueError for a singular affine.
     """
@@ -74,10 +74,7 @@ class GroundImage:
 
     @property
     def shared_sigma(self) -> tuple[float, float, float]:
-        """Common sigmas of its points: horizontal, height [m], ground slope.
-
-        With a share p of edges at height h: unevenness h sqrt(p (1 - p)), mean height sqrt(p / (1 - p)) of it.
-        """
+        """Common sigmas: horizontal, height [m], ground slope."""
         mean = math.sqrt(_STANDING / (1.0 - _STANDING)) * self.heights.unevenness_m
         return self.sigma_m, math.hypot(self.height_sigma_m, mean), self.heights.slope
 
@@ -116,7 +113,7 @@ def pyramid(image: Image) -> tuple[Image, ...]:
 
 
 def sample(levels: tuple[Image, ...], px: Array, ratio: float) -> Float:
-    """Grey values at px (h, w, 2) of level 0, `ratio` pixels apart, anti-aliased, border extended."""
+    """Grey values at px (h, w, 2) of level 0, `ratio` pixels apart, anti-aliased."""
     level = int(np.clip(np.floor(np.log2(max(ratio, 1.0))), 0, len(levels) - 1))
     image = levels[level]
     height, width = image.shape

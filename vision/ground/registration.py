@@ -36,7 +36,7 @@ _POINTS = PointConfig(least=6, freedom=4.0, expected=1.0)
 
 @dataclass(frozen=True, slots=True)
 class Registered:
-    """A pose with its evidence: blocks tried and agreed, chance of that, peak of the search."""
+    """A pose with its evidence."""
 
     pose: PoseEstimate
     tried: int

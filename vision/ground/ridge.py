@@ -20,7 +20,7 @@ LOBE_PX = 6.0  # from a peak: another position begins there
 class Line:
     """In search points: normal (2,) column, row; offset: from the best position; sigma: across.
 
-    ratio, deviations: as a Peak's, beside the line.
+    ratio, deviations: as a Peak's.
     """
 
     normal: Array
@@ -32,8 +32,8 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Ridge:
-    """On the ground: normal_n (2,) measured direction; seen_n (3,): evidence by the prior; shown_n (2,): its line point by the
-    map; sigma_m: across; ratio, deviations: beside the line.
+    """On the ground: normal_n (2,): measured direction; seen_n (3,): evidence by the prior; shown_n (2,): by the map; sigma_m:
+    across.
     """
 
     normal_n: Array
@@ -47,7 +47,7 @@ class Ridge:
 def find_line(scores: Float, inside: Mask, extent: Array, ratio: float) -> Line | None:
     """The line of all positions above 1 / ratio of the peak, or None.
 
-    scores (turns, rows, columns), -1 where not searched; extent (2, 2): d^T extent^-1 d <= 1 was searched.
+    scores (turns, rows, columns), -1: not searched; extent (2, 2): d^T extent^-1 d <= 1.
     """
     k, i, j = np.unravel_index(int(np.argmax(scores)), scores.shape)
     highest, best = scores.max(axis=0), float(scores[k, i, j])

@@ -88,7 +88,7 @@ def structure(view: Float) -> Float:
 
 
 def shift_of_ground(arm_n: Array) -> Array:
-    """dg = J (dp, dtheta), J (2, 6): motion of a ray's ground point; arm_n (3,): body to point.
+    """dg = J (dp, dtheta), J (2, 6): motion of a ray's ground point; arm_n (3,): to it.
 
     dg = dp + dtheta x r - r (dp + dtheta x r)_d / r_d
     """

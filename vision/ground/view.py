@@ -1,4 +1,4 @@
-"""The ground from straight above on a grid, seen by the camera and by the map's image.
+"""The ground from straight above on a grid.
 
 position(i, j) = centre + q E ((j, i) - middle),   E = (e_1, e_2): along the camera's rows on the ground, and across
 """
@@ -51,7 +51,7 @@ class Grid:
 
 
 def make_grid(camera: Camera, map_image: GroundImage, most: int, finest_m: float = 0.0) -> Grid | None:
-    """A grid over the camera's view, at most `most` points long, no finer than pixels; None: sky."""
+    """A grid over the camera's view, `most` points long at most; None: sky."""
     model, _, R_nc = camera
     positions = _footprint(camera, map_image)
     right = R_nc[:2, 0]

@@ -56,8 +56,8 @@ def steps_off(
     p_n: Array, used: Sequence[Landmark], near: Sequence[Landmark], prior_p_n: Array, prior_covariance: Array, odds: float,
     share: float,
 ) -> Array:  # fmt: skip
-    """Steps (S, 3) to positions less than `odds` times less likely than p_n by the prior, where more than a share of the
-    landmarks `used` have a similar one.
+    """Steps (S, 3) to positions less than `odds` times less likely by the prior, where enough of the landmarks `used` have a
+    similar one.
     """
     several, weights = _described(near), normalised(np.array([mark.weights for mark in near]))
     positions = np.array([(*mark.centre_n, mark.roof_d) for mark in near])

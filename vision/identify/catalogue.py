@@ -1,4 +1,4 @@
-"""Data of identification: regions as sightings, landmarks as a catalogue, assumptions."""
+"""Data of identification."""
 
 import math
 from dataclasses import dataclass, field
@@ -64,9 +64,8 @@ class Sighting:
 class Catalogue:
     """Landmarks near the prior as arrays.
 
-    position_n, variance_n (J, 3) of the roof's centre; features (J, 4): log width, log length, fill ratio, orientation;
-    description, weights (J, 4) of the similarity; chroma (J, 2), NaN unknown; density_per_m2; outlines: vertices (V, 2), offsets
-    (J + 1,).
+    position_n, variance_n (J, 3): roof centre; features (J, 4): log width, log length, fill ratio, orientation; description,
+    weights (J, 4): of the similarity; chroma (J, 2); vertices (V, 2), offsets (J + 1,).
     """
 
     ids: tuple[str, ...]

@@ -1,8 +1,8 @@
-"""Open regions of earlier images, decided together with the next ones.
+"""Open regions of earlier images, decided with the next ones.
 
     z = p_n(then) + r,   error of z = dp - [r]x dtheta + drift,   drift ~ N(0, P_now - P_then)
 
-Each object counts once, with its newest measurement; hypothesis weights are not carried over.
+Each object counts once; hypothesis weights are not carried over.
 """
 
 from dataclasses import dataclass, replace

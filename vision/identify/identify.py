@@ -1,6 +1,6 @@
-"""Landmark of each region: candidates by the thesis' similarity, decision by the joint posterior.
+"""Landmark of each region.
 
-Identified where the probability over all assignments reaches `accept_posterior`, else open.
+Candidates by similarity; identified where the joint posterior reaches `accept_posterior`, else open.
 """
 
 from collections.abc import Sequence
@@ -22,9 +22,7 @@ NONE = -1  # not a landmark of the map
 
 
 class IdentifyConfig(msgspec.Struct, frozen=True):
-    """min_similarity: of a candidate; accept_posterior: of an identity; fix_posterior: of the position; breadth: joint
-    hypotheses followed.
-    """
+    """accept_posterior: of an identity; fix_posterior: of the position; breadth: joint hypotheses followed."""
 
     min_similarity: float = 0.75
     accept_posterior: float = 0.999

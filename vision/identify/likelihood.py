@@ -134,9 +134,7 @@ def _bad_noise(r: Sighting, b: Assumptions) -> list[float]:
 
 
 def _colour(region: Array, landmark: Array, b: Assumptions, sigma: float = 0.06, any_colour: float = 0.3) -> tuple[Array, Array]:
-    """Log density of a region's chroma as each landmark (M, J) and as none (M,): normal about the map's colour, or uniform
-    (any_colour of the time); 0 if unknown.
-    """
+    """Log density of a region's chroma as each landmark (M, J), and as none (M,): normal, or uniform (any_colour of the time)."""
     squared = ((region[:, None] - landmark[None]) ** 2).sum(axis=-1) / sigma**2
     density = (1.0 - any_colour) * np.exp(-0.5 * squared) / (2.0 * math.pi * sigma**2) + any_colour * 2.0
     known = np.isfinite(density)

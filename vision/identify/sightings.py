@@ -54,7 +54,7 @@ def from_one_camera(region: Region, prior: Prior, rig: StereoRig, roof_d: float)
 def cut_off(
     sighting: Sighting, region: Region, seen: NDArray[np.bool_], prior: Prior, rig: StereoRig, landmarks: Catalogue
 ) -> Sighting | None:  # fmt: skip
-    """The sighting of a region not all of whose corners are `seen`; None where too little shows."""
+    """The sighting of a region cut off; None where too little shows."""
     p_nc, R_nc = rig.camera_pose(prior.p_n, prior.R_nb)
     body = p_nc - prior.p_n
     points, order = _laid(region.outline, R_nc, rig, float(sighting.arm_n[2] - body[2]))

@@ -1,4 +1,4 @@
-"""Images before recognition: check, rectification, contrast, reduction. Begin with `rectify`.
+"""Images before recognition. Begin with `rectify`.
 
-May import models, nothing else of vision.
+May import models.
 """

@@ -1,4 +1,4 @@
-"""Image enhancement (thesis section 4.2) of uint8 or uint16, grey or BGR; the stretches give uint8."""
+"""Image enhancement (thesis section 4.2) of uint8 or uint16, grey or BGR."""
 
 from typing import Any
 

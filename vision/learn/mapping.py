@@ -30,8 +30,8 @@ _NOT = 1e6  # cost of what is excluded
 
 
 class MappingConfig(msgspec.Struct, frozen=True):
-    """roof_m: prior roof height; centre_px, side_px: of a region; fresh_share: of the pose variance, new per image; drift_m:
-    along a flight; uneven: varying part of the rig's disparity error; gate: probability.
+    """roof_m: prior roof height; centre_px, side_px: sigma of a region; fresh_share: of the pose variance, new per image;
+    drift_m: along a flight; uneven: varying part of the rig's disparity error.
     """
 
     roof_m: float = 4.0

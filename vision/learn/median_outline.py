@@ -1,4 +1,4 @@
-"""One outline from many: what at least half of them contain (Vorob'ev median)."""
+"""Outline that at least half of many contain (Vorob'ev median)."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""Tracks to landmarks: duplicates united, rejects with reasons, outlines merged."""
+"""Tracks to landmarks."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -17,8 +17,8 @@ _EDGE_PX = 0.4  # of all edges alike: blur, shadow along one side
 
 
 class KeepConfig(msgspec.Struct, frozen=True):
-    """least_frames, sigma_m, height_sigma_m, least_m2; most_chi2: per degree of freedom; least_agreement: of outlines;
-    painted_sigma: a roof within so many sigmas of the ground is on it.
+    """most_chi2: per degree of freedom; least_agreement: of outlines; painted_sigma: within so many sigmas a roof is on the
+    ground.
     """
 
     least_frames: int = 4

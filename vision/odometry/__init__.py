@@ -1,4 +1,4 @@
-"""Visual odometry: motion of the body between two stereo pairs. Begin with `step`.
+"""Visual odometry. Begin with `step`.
 
 May import vision.records and the layers below it.
 """

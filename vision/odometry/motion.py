@@ -3,9 +3,9 @@
     z_0 = y + i delta + e_0,   z_1 = g(y; T) + i delta + e_1,   g = h o T^-1 o h^-1,   i = (0, 0, 1)   (two views of each point)
     d(y) = f b pi^T m(y) + e_d,   m = ((u_l - c_x) / f, (v_l - c_y) / f, 1)                           (ground plane, optional)
 
-h: camera point to y; T: body pose at t1 in the body at t0; delta: common disparity error; pi = n / height. Points are eliminated:
-C^T S^-1 C each, S = R_1 + G R_0 G^T, G = dg/dy, C = dg/d(T, delta, pi) (Triggs et al. 2000). Of the normal matrix N, L by the
-priors of delta and height: systematic N^-1 L (prior - truth); new in each step N^-1 (N - L) N^-1. p_true = p + dp, R_true = R
+h: camera point to y; T: body pose at t1 in the body at t0; delta: common disparity error; pi = n / height. Points eliminated: C^T
+S^-1 C each, S = R_1 + G R_0 G^T, G = dg/dy, C = dg/d(T, delta, pi) (Triggs et al. 2000). Of the normal matrix N, L by the priors
+of delta and height: systematic N^-1 L (prior - truth); new in each step N^-1 (N - L) N^-1. p_true = p + dp, R_true = R
 exp(theta).
 """
 
@@ -39,7 +39,7 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Plane:
-    """Ground from the first camera: n (3,) down, height and sigma [m], slope [rad], point scatter [m]."""
+    """Ground from the first camera: n (3,) down, height, sigma [m], slope [rad], scatter [m]."""
 
     n: Array
     height_m: float
@@ -65,10 +65,9 @@ class Plane:
 
 
 class Solution(NamedTuple):
-    """motion; covariance (6, 6) new in this step; squared distances (N,); residual scale, 1 = as expected.
+    """covariance (6, 6): new in this step; squared distances (N,); residual scale, 1: as expected.
 
-    systematic: (6, 2) motion - truth for disparities and height 1 sigma too large; residuals: (N, 2) of (u_l, v_l) at t1, in
-    sigma; converged.
+    systematic (6, 2): motion - truth for disparities, height 1 sigma too large; residuals (N, 2): of (u_l, v_l) at t1, in sigma.
     """
 
     motion: Motion
@@ -145,8 +144,7 @@ def solve(
 ) -> Solution:
     """Motion from measurements (N, 3) of N points; NaN in u_r: not measured (needs a plane); sigma_px: of each value.
 
-    Cauchy weights, scale of the residuals. guide: information (6, 6) about the start, scaled by the noise: selects one of several
-    motions.
+    guide: information (6, 6) about the start: selects one of several motions.
     """
     z0, variance0 = _filled(geometry, y0, sigma_px, plane)
     variance1 = np.where(np.isfinite(y1), sigma_px**2, _NOTHING_PX2)

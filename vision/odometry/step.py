@@ -2,7 +2,7 @@
 
     pairs -> contrast normalised, rectified at half size (Frame) -> corners, tracks -> Gauss-Newton (motion) -> Step
 
-Pure. The prediction starts tracks and separates two motions; it is no measurement.
+The prediction is no measurement.
 """
 
 from dataclasses import dataclass, field
@@ -40,9 +40,7 @@ _FLOOR: Final = np.array([0.002] * 3 + [np.radians(0.04)] * 3)  # m, rad
 
 @dataclass(frozen=True, slots=True)
 class OdometrySettings:
-    """points: of a key frame; disparity_sigma_px: at least; relief_m: ground mean against the given height, roughness_m: points
-    against their mean, slope_deg.
-    """
+    """disparity_sigma_px: at least; relief_m: ground mean against the given height; roughness_m: points against their mean."""
 
     points: int = 140
     relief_m: float = 1.5
@@ -86,8 +84,7 @@ class Tracks:
 class Step:
     """Body pose at t1 in the body at t0, or reason.
 
-    covariance (6, 6) of (dp, theta), new in each step; systematic (6, 2): disparities, height 1 sigma too large; residual_scale:
-    1 = as expected.
+    covariance (6, 6): of (dp, theta), new in each step; systematic (6, 2): disparities, height 1 sigma too large.
     """
 
     reason: str

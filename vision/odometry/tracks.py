@@ -1,7 +1,6 @@
 """Corner tracks through two stereo pairs, pyramidal Lucas-Kanade (Bouguet 2001), raw images.
 
-y = (u_l, v_l, u_r): rectified left pixels, right column; NaN: not measured. Matches must return to their start and keep their
-row.
+y = (u_l, v_l, u_r): rectified; NaN: not measured. Matches must return to their start and keep their row.
 """
 
 from typing import Final

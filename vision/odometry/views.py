@@ -1,4 +1,4 @@
-"""One camera: raw image (tracking), small rectified image, pixels between them.
+"""One camera: raw and small rectified image, pixels between them.
 
 x ~ R_cc' K^-1 (u, v, 1),   (u, v)_raw = project(x)          (R_cc': rectified camera axes c' in those of the camera c)
 """
@@ -51,7 +51,7 @@ class Lens:
         return self.camera.project(rays @ self._R)
 
     def inner(self) -> Mask:
-        """Raw pixels where corners may be: not near the border of the image, raw or rectified."""
+        """Raw pixels where corners may be."""
         height, width = self.camera.height, self.camera.width
         v, u = np.mgrid[0:height:_GRID_PX, 0:width:_GRID_PX]
         raw = np.column_stack((u.ravel(), v.ravel())).astype(np.float64)
@@ -66,7 +66,7 @@ class Lens:
         return H
 
     def view(self, image: Image) -> View:
-        """Grey, mean 128, spread 45: thresholds are alike in all images."""
+        """Grey, mean 128, spread 45."""
         raw = grey(image)
         small = rectify(reduced(raw, self._scale), self._maps)
         mean, spread = cv2.meanStdDev(small, mask=None if self._maps is None else self._maps.valid)

@@ -1,4 +1,4 @@
-"""A landmark's outline in an image: visible edges, profiles, steps, lines, noise.
+"""A landmark's outline in an image.
 
 May import describe and image.
 """

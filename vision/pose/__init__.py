@@ -1,4 +1,4 @@
-"""Pose from identified landmarks: observations, least squares, covariance, open directions.
+"""Pose from identified landmarks.
 
 Begin with `pose`. May import outline, identify and the layers below them.
 """

@@ -23,7 +23,7 @@ def by_corners(cornered: Array) -> Array:
 def repeating(moved: Array, landmark: NDArray[np.int64], count: int, room: int) -> Array:
     """(L, 6, room): main part, as unit-variance errors, of edge errors' (E, 6, c) effect on the pose.
 
-    landmark (E,) of `count`; the rest counts as new in each image.
+    landmark (E,) of `count`.
     """
     whole = np.zeros((count, POSE, POSE))
     np.add.at(whole, landmark, moved @ moved.transpose(0, 2, 1))

@@ -2,7 +2,7 @@
 
     P_map = P + C,    C = diag(s_h^2, s_h^2, s_v^2, 0, 0, 0)        (s: common_sigma_m, horizontal and vertical)
 
-P_map: prior in map coordinates; C adds to a fix' error on Earth.
+P_map: prior in map coordinates.
 """
 
 from dataclasses import replace
@@ -23,7 +23,7 @@ def on_map(prior: Prior, common_sigma_m: tuple[float, float]) -> Prior:
 
 
 def with_map_error(fix: LandmarkFix, common_sigma_m: tuple[float, float]) -> LandmarkFix:
-    """The fix with the map's common error, horizontal and vertical sigma, as another systematic one."""
+    """The fix with the map's common error, horizontal and vertical sigma."""
     if not any(common_sigma_m):
         return fix
     sigma = np.array([common_sigma_m[0], common_sigma_m[0], common_sigma_m[1]])

@@ -1,7 +1,7 @@
 """From a search position to a fit.
 
-fit -> final check (final_check.py) -> landmarks or an image that contradict go -> each other landmark is searched from the joint
-pose within its own map errors -> final check -> all together
+fit -> final check -> contradicting landmarks or image go -> the others are searched from the joint pose -> final check -> all
+together
 """
 
 import math

@@ -1,7 +1,6 @@
 """Predict and verify: the main path in flight.
 
-prior -> outlines in view -> coarse search (coarse_search.py) -> edges along normals, Gauss-Newton (fit.py, pose.py) ->
-verify.py
+prior -> coarse_search.py -> edges along normals, Gauss-Newton (fit.py) -> verify.py
 """
 
 import math
@@ -41,7 +40,7 @@ _DISTANCES = (-2.0, -1.0, 1.0, 2.0)  # standard deviations of the prior, from wh
 
 
 class PredictConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """most_voting, most_fitted: landmarks, those most in view first; the others join the fit; most_together: as one pattern."""
+    """most_voting, most_fitted: landmarks, most in view first; most_together: as one pattern."""
 
     coarse: CoarseConfig = CoarseConfig()
     verify: VerifyConfig = VerifyConfig()
@@ -98,7 +97,7 @@ class PredictPath:
         return ""
 
     def locate(self, images: Images, marks: list[Landmark], move: Motion, t_ns: int, prior: Prior) -> Result:
-        """Fix or reason; searched is what `move` allows, perhaps less than the prior."""
+        """Fix or reason, within what `move` allows."""
         eye, candidates = self._eye(images), self._candidates(images, marks, move)
         found = self._decide(images, marks, candidates, prior)
         hypothesis = found.hypothesis if isinstance(found, _Decided) else candidates[0] if candidates else None
@@ -118,7 +117,7 @@ class PredictPath:
         return Result(fix, report_of(t_ns, "fixed", detail, said, fit.residual_px), tuple(said), fit)
 
     def stands_out(self, images: Images, near: Sequence[Landmark], here: PoseEstimate, steps: Array, prior: Prior) -> bool:
-        """Whether a position is decidedly likelier than those at steps (S, 3), each fitted to its own view."""
+        """Whether a position is decidedly likelier than those at steps (S, 3)."""
         if len(steps) > _MOST_STEPS:
             return False
         eye, v = self._eye(images), self._config.verify
@@ -214,7 +213,7 @@ class PredictPath:
 
 
 def nearer_and_farther(marks: list[Landmark], hypothesis: Candidate, seen: Mask, prior: Prior) -> list[Candidate]:
-    """A position with one landmark in view (L,), from other distances to its roof's middle m.
+    """Positions at other distances from one landmark's roof middle m.
 
     p = m + exp(k s) (p - m),    k = -2, -1, 1, 2,    s: standard deviation of |p - m| by the prior, over |p - m|
     """

@@ -92,9 +92,9 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """used: landmarks; asked: all the final check could see; remark: on an image left out.
+    """used: landmarks; asked: all that the final check could see.
 
-    kept: share of the asked outline that agreed; checked: in the worse image; middles (L, 2) px; odds: ln, against chance.
+    kept: share of the asked outline that agreed; checked: in the worse image; odds: ln, against chance.
     """
 
     pose: PoseEstimate
@@ -121,8 +121,8 @@ def position_odds(present: Array, gone: float, squared: float, found: float, cov
 
     (sum_j ln ((1 - g) LR_j + g) - d^2 / 2) / a + n (f ln (r / c) + (1 - f) ln ((1 - r) / (1 - c))) - b h
 
-    present (L,): ln LR in view; gone: g; squared: d^2 from prior and map; found: f, outline share, r at right positions, c by
-    chance; a: repetition of evidence; n: independent pieces; covered: h.
+    present (L,): ln LR in view; gone: g; squared: d^2 from prior and map; found: f, r at right positions, c by chance; a:
+    repetition; n: pieces; covered: h.
     """
     r, c = _FOUND_RIGHT, _FOUND_CHANCE
     there = float(np.logaddexp(math.log(1.0 - gone) + present, math.log(gone)).sum())
@@ -133,8 +133,7 @@ def position_odds(present: Array, gone: float, squared: float, found: float, cov
 def decided(tried: Sequence[Fitted | str], config: VerifyConfig) -> Fitted | str:
     """The one fit left, or why none.
 
-    Of nearly equally likely fits the most certain counts, with no more directions than the likeliest; several positions to one
-    fit: their least kept share.
+    Of nearly equally likely fits the most certain counts, with no more directions than the likeliest.
     """
     fits = [one for one in tried if not isinstance(one, str)]
     if not fits:
@@ -220,10 +219,7 @@ class _Held:
 
 
 class Waiting:
-    """The last image's position, a function of the requests alone.
-
-    Prediction and segmentation of an image both use the one before.
-    """
+    """The last image's position."""
 
     def __init__(self, config: VerifyConfig) -> None:
         self._config = config
@@ -235,11 +231,11 @@ class Waiting:
         self._nothing_ns = t_ns
 
     def fixed(self, fitted: Fitted, t_ns: int, prior: Prior) -> None:
-        """After a fix: it makes none wait, but confirms weak positions."""
+        """After a fix, which confirms weak positions."""
         self._held, self._nothing_ns = _Held.of(fitted, t_ns, prior, sure=True), None
 
     def holds(self, t_ns: int, odds: float) -> bool:
-        """Whether the image before t_ns showed a weak position not much less likely than `odds`."""
+        """Whether a weak position not much less likely than `odds` came before t_ns."""
         before = self._before(t_ns)
         return before is not None and not before.sure and before.odds > odds - self._config.decides
 
@@ -252,8 +248,7 @@ class Waiting:
     def doubt(self, fitted: Fitted, t_ns: int, prior: Prior, roofs_n: Array, *, weak: bool) -> str:
         """Why the held position does not confirm this one; empty for the same prior error.
 
-        One landmark needs odds over both images; two weak positions need turned lines of sight to roofs (L, 3): a false match
-        recurs in the same view.
+        One landmark needs odds over both images, two weak positions turned lines of sight to roofs (L, 3).
         """
         before, now = self._before(t_ns), _Held.of(fitted, t_ns, prior, sure=False)
         alone = before is not None and len(fitted.used) == 1 and before.odds + fitted.odds < self._config.both_odds

@@ -1,4 +1,4 @@
-"""Records: report with reasons of rejection, images of each stage.
+"""Reports and images.
 
-May import pose and the layers below it.
+May import pose and what is below it.
 """

@@ -16,10 +16,10 @@ INSIDE_9999: Final = (15.137, 18.421, 21.108, 23.513, 25.745, 27.856)  # chi-squ
 
 
 class RegionReport(msgspec.Struct, frozen=True):
-    """Result of one region (path segment) or landmark (path predict).
+    """Result of a region (segment) or landmark (predict).
 
     state: identified, open, not_in_map, not_measured, cut_off, not_found;  landmark: identity or best candidate
-    bbox: u0, v0, width, height in the rectified image (segment), in the raw one (predict)
+    bbox: u0, v0, width, height, rectified (segment) or raw (predict)
     """
 
     state: str

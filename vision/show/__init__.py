@@ -1,1 +1,1 @@
-"""Drawing into images: the map's outlines, what was measured. May import outline, describe and image."""
+"""Drawing into images. May import outline, describe, image."""

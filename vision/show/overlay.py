@@ -1,4 +1,4 @@
-"""The map drawn into an image, and outline residuals in px along normals."""
+"""The map drawn into an image, and outline residuals [px]."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass

@@ -1,6 +1,6 @@
-"""Rendered stereo images of known worlds: world, ground, camera effects, scenes.
+"""Rendered stereo images of known worlds.
 
-May import models, nothing else of vision.
+May import models.
 """
 
 from vision.synthetic.camera_effects import IDEAL, Conditions, Image, blur_of_motion

@@ -2,7 +2,7 @@
 
     colour(n, e) = tint * cover(n, e) (1 + contrast * detail(n, e))
 
-`cover`: fields, paths, bushes (0.2 m a texel, period 205 m), `detail`: grass, soil, stones (1.5 cm, 31 m).
+`cover`: 0.2 m a texel, period 205 m; `detail`: 1.5 cm, 31 m.
 """
 
 import math

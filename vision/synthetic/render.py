@@ -24,7 +24,7 @@ _MARGIN_PX = 3.0  # beyond the image, where polygons are cut
 
 @dataclass(frozen=True)
 class Lens:
-    """Rays (h, w, 2) = (x/z, y/z), squared radius (h, w), 1 in the farthest corner, limits and piece of a View."""
+    """Rays (h, w, 2) = (x/z, y/z), squared radius (h, w), 1 in the farthest corner."""
 
     rays: Grid
     radius2: Grid

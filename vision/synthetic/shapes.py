@@ -1,4 +1,4 @@
-"""Outlines and bodies about (0, 0): houses, ambiguous landmarks, cars, trees, paint, roads."""
+"""Outlines and bodies about (0, 0)."""
 
 import math
 

@@ -79,7 +79,7 @@ class Columns:
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """True landmarks (map ids), appearances, clutter, ground, sun; a label is the landmark's index, then clutter."""
+    """A label is the landmark's index, then clutter."""
 
     landmarks: tuple[Landmark, ...]
     appearances: tuple[Appearance, ...]

@@ -1,4 +1,4 @@
-"""Topics of a bag for each input, by type and content; doubtful ones are not used."""
+"""Topics of a bag for each input; doubtful ones are not used."""
 
 import re
 from collections.abc import Mapping

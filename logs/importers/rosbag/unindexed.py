@@ -28,7 +28,7 @@ _UNPACK: Final[Mapping[str, Callable[[bytes, int], bytes]]] = {  # to so many by
 
 
 class Unpacker:
-    """Contents of a bag's chunks, bounded in total by its size; the last ones are kept."""
+    """Contents of a bag's chunks, bounded in total by its size."""
 
     def __init__(self, size: int) -> None:
         self._left = allowed(size)
