@@ -21,10 +21,10 @@ class _Quiet(WSGIRequestHandler):
 
 
 class Counted:
-    """The server's application: gets and the bytes they were answered with; share: of requests answered by 503."""
+    """The server's application: requests, those to read counted; share: of them answered by 503."""
 
     def __init__(self, share: float = 0.0, seed: int = 1) -> None:
-        self.share, self.gets, self.sent_bytes, self.failed = share, 0, 0, 0
+        self.share, self.gets, self.failed = share, 0, 0
         self._inner, self._rng, self._lock = DomainDispatcherApplication(create_backend_app), Random(seed), threading.Lock()
 
     def __call__(self, environ: dict[str, Any], start: Callable[..., Any]) -> Iterable[bytes]:
@@ -39,7 +39,6 @@ class Counted:
         if environ["REQUEST_METHOD"] == "GET":
             with self._lock:
                 self.gets += 1
-                self.sent_bytes += len(answer)
         return [answer]
 
 

@@ -1,13 +1,9 @@
 """Two changes made on purpose, and whether the comparison finds their flights first.
 
-python -m benchmarks.fleet.changes --flights 40 --jobs 1 --out out/fleet
-
 noise: the gyroscope's noise x 3 in the configuration of one vehicle. bug: in a copy of the program a pose fix is never older
 than 0.1 s. again: nothing is changed.
 """
 
-import argparse
-import json
 import os
 import subprocess
 import sys
@@ -27,7 +23,6 @@ from estimator.tools.fleet.engine import cluster
 from estimator.tools.fleet.results import read
 from estimator.tools.fleet.run import run, settings_of
 from estimator.tools.fleet.store import Flight, flights
-from estimator.version import version
 from logs.store.reader import LogReader
 from logs.store.recorder import CONFIG_ATTACHMENT
 
@@ -37,29 +32,21 @@ LINE = "    return PoseFix(_t_ns(message.header.stamp), arrived_ns, p_n"
 BUG = "    return PoseFix(max(_t_ns(message.header.stamp), arrived_ns - 100_000_000), arrived_ns, p_n"
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--flights", type=int, default=40)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=ROOT / "out" / "fleet")
-    args = parser.parse_args()
-    (args.out / "logs").mkdir(parents=True, exist_ok=True)
-    found = flights([str(file) for file in logs(args.out / "logs", args.flights)])
-    results = str(args.out / "changes")
+COLUMNS = ("changed", "of them moved", "others that moved", "of them worse", "of them first")
+
+
+def table(count: int, jobs: int, out: Path) -> dict[str, Any]:
+    """Each change over `count` flights."""
+    found = flights([str(file) for file in logs(out / "logs", count)])
+    results = str(out / "changes")
     late = {flight.log for flight in found if int(Path(flight.log).stem) % LATE == 0}
-    with cluster(args.jobs) as client:
+    with cluster(jobs) as client:
         for label in ("before", "again"):
             run(found, settings_of(label, None, "/truth"), results, client)
         noisy = of_one_vehicle(found, results, client)
-    with_bug([flight.log for flight in found], results, args.jobs)
-    report = {
-        "version": version(),
-        "command": f"python -m benchmarks.fleet.changes --flights {args.flights} --jobs {args.jobs}",
-        "flights": len(found),
-        **{label: judged(results, label, changed) for label, changed in (("again", set()), ("noise", noisy), ("bug", late))},
-    }
-    (args.out / "changes.json").write_text(json.dumps(report, indent=1) + "\n")
-    print(json.dumps(report, indent=1))
+    with_bug([flight.log for flight in found], results, jobs)
+    rows = [[label, *judged(results, label, changed)] for label, changed in (("again", set()), ("noise", noisy), ("bug", late))]
+    return {"section": "Two changes made on purpose", "columns": ["change", *COLUMNS], "rows": rows}
 
 
 def of_one_vehicle(found: list[Flight], results: str, client: Client) -> set[str]:
@@ -98,20 +85,15 @@ def with_bug(logs_: list[str], results: str, jobs: int) -> None:
         subprocess.run([*command, "--label", "bug", "--jobs", str(jobs)], check=True, cwd=folder, env=environment)
 
 
-def judged(results: str, label: str, changed: set[str]) -> dict[str, Any]:
-    """Where the flights of the change stand in the comparison."""
+def judged(results: str, label: str, changed: set[str]) -> list[int]:
+    """COLUMNS: where the flights of the change stand in the comparison."""
     compared = compare(read(results), ("before", label))
     moved = [change.log for change in compared.changes if change.worse != 0.0]
     worse = [change.log for change in compared.changes if change.worse > 0.0]
-    return {
-        "changed": len(changed),
-        "of them moved": sum(log in changed for log in moved),
-        "others that moved": sum(log not in changed for log in moved),
-        "of them worse": sum(log in changed for log in worse),
-        "of them first": sum(change.log in changed for change in compared.changes[: len(worse)]),
-        "p": {m.metric: m.p for m in compared.metrics if m.metric in {"rmse_m", "nees_position", "nis_per_dof"}},
-    }
-
-
-if __name__ == "__main__":
-    main()
+    return [
+        len(changed),
+        sum(log in changed for log in moved),
+        sum(log not in changed for log in moved),
+        sum(log in changed for log in worse),
+        sum(change.log in changed for change in compared.changes[: len(worse)]),
+    ]

@@ -1,29 +1,24 @@
-"""What a row costs, beside the estimator alone and the commands replay and evaluate, in CPU time and in turns.
+"""What a row costs beside the estimator alone and the commands replay and evaluate: least CPU time of some rounds, in turns."""
 
-python -m benchmarks.fleet.cost --rounds 5 --out out/fleet
-"""
-
-import argparse
-import json
 import time
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
-from benchmarks.flights.tasks import ROOT
 from estimator.config import parse
 from estimator.fusion import Fusion
 from estimator.replay import simulate as simulated
 from estimator.replay.replay import replay
 from estimator.tools.fleet.flight import Settings, code, fly
 from estimator.tools.fleet.store import flights
-from estimator.version import version
 from logs.evaluation.evaluate import evaluate
 from logs.store.reader import LogReader
 from models.sim.scenario import simulate
 from models.sim.scenario_file import loads
 
 _SECONDS = 60.0
+_ROUNDS = 5
 _SCENARIO = """
 duration_s = {seconds}
 [imu]
@@ -37,25 +32,18 @@ delay_s = 0.3
 _OUTAGE_S = {"IMU 100 Hz, fixes 1 Hz": 0.0, "the same, GNSS 5 Hz in half of the time": _SECONDS / 2.0}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--out", type=Path, default=ROOT / "out" / "fleet")
-    args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
-    rows = [[name, *measured(outage_s, args.rounds)] for name, outage_s in _OUTAGE_S.items()]
-    table = {
+def table(*_: object) -> dict[str, Any]:
+    """Flight hours a core hour."""
+    rows = [[name, *measured(outage_s)] for name, outage_s in _OUTAGE_S.items()]
+    return {
         "section": "Flight hours a core hour",
-        "command": f"python -m benchmarks.fleet.cost --rounds {args.rounds}",
         "columns": ["flight", "a row", "replay and evaluate", "estimator alone"],
         "rows": rows,
     }
-    (args.out / "cost.json").write_text(json.dumps({"version": version(), "tables": [table]}, indent=1) + "\n")
-    print(json.dumps(table, indent=1))
 
 
-def measured(outage_s: float, rounds: int) -> list[float]:
-    """Flight hours a core hour by the least of some rounds: of a row, of the commands, of the estimator alone."""
+def measured(outage_s: float) -> list[float]:
+    """Flight hours a core hour of a row, of the commands, of the estimator alone."""
     with TemporaryDirectory() as folder:
         log, out = Path(folder) / "flight.mcap", Path(folder) / "estimate.mcap"
         simulation = simulate(loads(_SCENARIO.format(seconds=_SECONDS, outage_s=outage_s)), seed=0)
@@ -77,7 +65,7 @@ def measured(outage_s: float, rounds: int) -> list[float]:
                 fusion.handle(message)
 
         ways: list[Callable[[], object]] = [lambda: fly(flight, settings), commands, alone]
-        least = [min(cpu_s[1:]) for cpu_s in zip(*([_cpu_s(way) for way in ways] for _ in range(rounds + 1)), strict=True)]
+        least = [min(cpu_s[1:]) for cpu_s in zip(*([_cpu_s(way) for way in ways] for _ in range(_ROUNDS + 1)), strict=True)]
     return [round(_SECONDS / cpu_s, 1) for cpu_s in least]
 
 
@@ -85,7 +73,3 @@ def _cpu_s(way: Callable[[], object]) -> float:
     began = time.process_time()
     way()
     return time.process_time() - began
-
-
-if __name__ == "__main__":
-    main()

@@ -6,6 +6,7 @@ Umeyama 1991; Sturm et al. 2012; Zhang & Scaramuzza 2018; Bar-Shalom, Li & Kirub
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal, TypeAlias
 
 import msgspec
@@ -175,7 +176,12 @@ def _definite(covariance: Array) -> Mask:
 def chi2_band(dof: float, probability: float = 0.95) -> tuple[float, float]:
     """Two-sided chi-square interval of dof with the given probability."""
     tail = 0.5 * (1.0 - probability)
-    return float(chi2.ppf(tail, dof)), float(chi2.ppf(1.0 - tail, dof))
+    return _quantile(tail, dof), _quantile(1.0 - tail, dof)
+
+
+@lru_cache(maxsize=64)
+def _quantile(probability: float, dof: float) -> float:
+    return float(chi2.ppf(probability, dof))
 
 
 def effective_samples(x: Array) -> float:
@@ -237,7 +243,7 @@ def consistency(values: Array, dof: int, n_effective: float | None = None) -> Co
         n_effective=n_eff,
         band=(low / (n_eff * dof), high / (n_eff * dof)),
         inside=float(np.mean((values >= sample_low) & (values <= sample_high))),
-        covered=float(np.mean(values <= chi2.ppf(0.95, dof))),
+        covered=float(np.mean(values <= _quantile(0.95, dof))),
     )
 
 

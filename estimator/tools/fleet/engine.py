@@ -1,4 +1,4 @@
-"""dask.distributed, on this machine or a scheduler's address, at most _AHEAD tasks a thread."""
+"""dask.distributed, on this machine or a scheduler's address, at most AHEAD tasks a thread."""
 
 import logging
 import os
@@ -14,7 +14,7 @@ from distributed import Client, LocalCluster, as_completed
 
 from estimator.tools.fleet.errors import FleetError
 
-_AHEAD: Final = 3
+AHEAD: Final = 3
 _RETRIES: Final = 3  # of a task whose store failed for longer than the store's client retries
 _DASHBOARD: Final = "127.0.0.1:0"  # any free port, of this machine only
 _POLL_S: Final = 0.02
@@ -93,4 +93,4 @@ def _ended(client: Client, finished: Any) -> Iterator[Any]:
 
 def _width(client: Client) -> int:
     threads: int = sum(client.nthreads().values())
-    return _AHEAD * max(1, threads)
+    return AHEAD * max(1, threads)

@@ -17,7 +17,7 @@ from estimator.tools.fleet.rows import Row
 from estimator.tools.fleet.store import Flight
 from models.untrusted.file import content
 
-_KEPT_EVERY_S: Final = 10.0  # rows that came meanwhile are what the loss of this process costs
+KEPT_EVERY_S: Final = 10.0  # rows that came meanwhile are what the loss of this process costs
 
 
 class RunSummary(msgspec.Struct, frozen=True):
@@ -85,7 +85,7 @@ def run(
                 fresh.append(result)
             counts.add(flight, result)
             progress(counts.ended / max(len(left), 1), counts.text)
-            if time.monotonic() - written_s > _KEPT_EVERY_S:
+            if time.monotonic() - written_s > KEPT_EVERY_S:
                 kept.add(fresh)
                 fresh.clear()
                 written_s = time.monotonic()
