@@ -32,12 +32,14 @@ from estimator.commands.map import app as map_command
 from estimator.commands.vision import bench, locate, measure, overlay
 from estimator.version import version
 
-FLY, LOGS, MAPS, PHOTOS, CALIBRATION, MORE = ("Fly", "Logs", "Maps", "Photos", "Calibration", "More")
+PANELS = FLY, LOGS, MAPS, PHOTOS, CALIBRATION, MORE = ("Fly", "Logs", "Maps", "Photos", "Calibration", "More")
 _OURS = frozenset({"estimator", "logs", "models", "vision", "calib"})
 
 
 class OneLineErrors(Group):
     """Errors in a command: one line, exit code 1, unless LANDFIX_DEBUG=1 or --debug."""
+
+    panels = PANELS
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
@@ -104,10 +106,10 @@ def _landfix(
 
     \b
     Start here:
-      landfix demo                                     a simulated flight through the real pipeline
-      landfix import FLIGHT.BIN -o flight.mcap         a recorded flight as a log (.BIN, .ulg, .tlog, bag, CSV)
-      landfix replay flight.mcap -o estimate.mcap -c vehicle.toml
-      landfix evaluate estimate.mcap                   how good it was
+      landfix demo                                a simulation, through everything
+      landfix import FLIGHT.BIN -o flight.mcap    or .ulg, .tlog, a bag, CSV
+      landfix replay flight.mcap -o estimate.mcap -c flight.toml
+      landfix evaluate estimate.mcap              how good it was
     """
     if debug:
         os.environ["LANDFIX_DEBUG"] = "1"

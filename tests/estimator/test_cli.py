@@ -44,7 +44,9 @@ def estimate(flight: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_help_lists_all_commands_and_each_has_examples() -> None:
-    text = run("--help").output
+    text = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "80"}).output
+    assert re.findall(r"^(\w+):$", text, re.MULTILINE) == ["Options", "Fly", "Logs", "Maps", "Photos", "Calibration", "More"]
+    assert max(map(len, text.splitlines())) <= 80
     for command in COMMANDS:
         assert f"\n  {command} " in text
         helped = run(command, "--help")
