@@ -7,7 +7,7 @@ PYTEST := MPLBACKEND=Agg $(BIN)/python -m pytest
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test check bench bench-real stress campaign campaign-integrity soak site install kernels lock clean
+.PHONY: help demo test quick check bench bench-real stress campaign campaign-integrity soak site install kernels lock clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-19s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -17,6 +17,10 @@ demo: install  ## the main job: a simulated flight, GPS cut off; says where the 
 
 test: install  ## check, then all tests; the exit code tells of both
 	@checked=0; $(MAKE) --no-print-directory check || checked=$$?; $(PYTEST) -n 2 --dist worksteal && exit $$checked
+
+# The golden trajectory, the models, the sensors, the wire and the rules of the repository: 70 s of the processor.
+quick: install  ## the tests of a minute: golden bits, models, sensors, messages, rules of the repository
+	$(PYTEST) -q -n 2 tests/golden tests/models tests/estimator/sources tests/logs/wire tests/docs/test_architecture.py tests/docs/test_site.py
 
 check: install  ## ruff, mypy --strict, import contracts
 	$(BIN)/ruff check .
