@@ -69,7 +69,7 @@ def printable(text: str) -> str:
 
 
 def one_line(error: Exception) -> str:
-    """One line for our own and system errors; others are reported as defects."""
+    """One line; errors not ours or the system's are defects."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     if isinstance(error, ImportError):

@@ -166,7 +166,7 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         )
 
     def decoder(self) -> Decoder:
-        """The wire decoder. Raises ConfigError: invalid topic, landfix's own, or one for two inputs."""
+        """The wire decoder. Raises ConfigError."""
         for name in self.inputs.__struct_fields__:
             for topic in getattr(self.inputs, name):
                 if _OWN.match(topic) or _WILD.search(topic):
@@ -188,7 +188,7 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         return ImuMounting(self.imu.axes, *self.imu.mounting_rpy_deg, others)
 
     def files(self) -> dict[str, str]:
-        """Files that the configuration names: description and path, relative to its folder."""
+        """Named files: description and path."""
         named = {"calibration": self.rig.file, "map": self.map.landmarks}
         return {name: file for name, file in named.items() if file}
 

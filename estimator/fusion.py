@@ -126,7 +126,7 @@ class Fusion:
         return out
 
     def _recover(self, message: Input) -> AidStatus:
-        """The state keeps failing: go on from the last sound checkpoint, the next time from nothing."""
+        """From the last sound checkpoint, the next time from nothing."""
         sound = self._history.from_last_sound() if self._failures == _FAILURES else None
         if sound is None:
             return self._restart(None, message.t_ns, message.arrived_ns, Reason.INTERNAL, self._detail)
@@ -157,7 +157,7 @@ class Fusion:
         return History(tracker, config.estimator.history_s)
 
     def _asked(self) -> list[tuple[int, Callable[[int], Aid]]]:
-        """Questions to the IMU (rest, drag), once a period, at stamps independent of the samples."""
+        """Questions to the IMU, at stamps independent of the samples."""
         rest, drag, wind = self._config.rest, self._config.drag, self._config.wind
         asked: list[tuple[int, Callable[[int], Aid]]] = []
         if rest.enabled:
@@ -372,7 +372,7 @@ class Fusion:
         return out
 
     def _jump(self, last: Estimate, lead: Eskf, published: Array, t_ns: int, *, is_aligned: bool) -> Array | None:
-        """Step of the estimate against the last published one; None where within noise.
+        """None where within noise.
 
         published: (15, 15), used without a heading; else the leading filter's.
         """
@@ -398,7 +398,7 @@ class Fusion:
         return [self._restart(None, sample.t_ns, sample.arrived_ns, Reason.IN_FUTURE, "the clock of the IMU has stepped")]
 
     def _restart(self, tracker: Tracker | None, t_ns: int, arrived_ns: int, reason: Reason, detail: str) -> AidStatus:
-        """The state is unusable: align anew, a jump of unknown size.
+        """Align anew, a jump of unknown size.
 
         tracker: keeps its map and sources; None: times are of another clock.
         """

@@ -169,10 +169,7 @@ def _find_charuco(grey_image: Grey, board: Board) -> tuple[NDArray[np.int64], Ar
 
 
 def _turned(grey_image: Grey, px: Array, board: Board) -> bool:
-    """Whether corner 0 is at the wrong end: the square inside it must be dark.
-
-    Ambiguous with an even number of squares between the ends.
-    """
+    """Whether corner 0 is at the wrong end: the square inside it must be dark."""
     if board.ends_alike:
         return False
     levels, first = levels_at(grey_image, middles_of(px, board.size)), is_first_kind(board.size)

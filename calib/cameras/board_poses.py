@@ -83,7 +83,6 @@ def board_poses(
 
 
 def _information(camera: CameraModel, solution: Solution) -> tuple[Array, Array]:
-    """J^T J (6, 6) of a pose, and its derivative by the lens (6, k)."""
     seen, pose = solution.problem.views[0][0], solution.problem.poses[0]
     assert seen is not None
     x_c = pose.of(seen.x_o)

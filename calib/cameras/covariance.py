@@ -41,7 +41,6 @@ def marginal(H_i: Array, g_i: Array, sigma2: float) -> Spread:
 
 
 def _in_common(M_i: Array, g_i: Array) -> tuple[Array, Array]:
-    """y_i (n, m) and eigenvalues of M_i (n, m, m), from W^T g_i; 0 along directions of one view alone."""
     part, axes = np.linalg.eigh(M_i)
     part = np.where(part < _ALONE, np.maximum(part, 0.0), 0.0)
     weight = np.where(part > 0.0, 1.0 / np.sqrt(1.0 - part), 0.0)
@@ -65,7 +64,6 @@ def bowed(H: Array, g: Array, sigma2: float, length_m: float) -> tuple[float, Ar
 
 
 def _whitening(H: Array) -> Array:
-    """W with W^T H W = I, for unknowns of different units."""
     scale = np.sqrt(np.clip(np.diagonal(H), 1e-300, None))
     values, axes = np.linalg.eigh(H / np.outer(scale, scale))
     known = values > 1e-14 * values[-1]

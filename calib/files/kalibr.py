@@ -85,7 +85,6 @@ def _text(name: str, R: Array, t: Array) -> str:
 
 
 def _on_body(chain: dict[str, Any], where: str) -> Array | None:
-    """T_bc (4, 4), as OpenVINS writes or Kalibr inverted; None without."""
     if "T_imu_cam" in chain:
         return _pose(chain, "T_imu_cam", where)
     if "T_cam_imu" not in chain:

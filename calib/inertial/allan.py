@@ -89,7 +89,6 @@ def noise(x: Array, rate_hz: float) -> Noise:
 
 
 def _fit(tau: Array, adev: Array, relative: Array) -> tuple[Array, Array, float]:
-    """N^2, B^2, K^2 (>= 0), covariance, largest distance from the curve [sigma]."""
     A = np.column_stack((1.0 / tau, np.full(len(tau), _INSTABILITY), tau / 3.0))
     weight = 1.0 / (2.0 * relative * adev**2)
     squares, _ = nnls(A * weight[:, None], adev**2 * weight)

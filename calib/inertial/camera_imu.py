@@ -120,7 +120,6 @@ class _Problem:
         return np.asarray(so3.matrix(so3.quat_exp(theta[_ROTATION].copy())) @ self.R_bc0)
 
     def residuals(self, theta: Array, poses: BoardPoses | None = None) -> Array:
-        """Normalised innovations (6 (M - 1) + 1,), the last the prior of gravity."""
         poses = poses or self.poses
         R_bc, p_bc = self.R_bc(theta), theta[_POSITION].copy()
         R_no = so3.matrix(so3.quat_exp(np.append(theta[_TILT], 0.0))) @ self.R_no0

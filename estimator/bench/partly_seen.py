@@ -51,7 +51,7 @@ def shares(world: World, rig: StereoRig, p_n: Array, R_nb: Array) -> dict[str, f
 
 
 def hide(world: World, rig: StereoRig, p_n: Array, R_nb: Array, rng: np.random.Generator) -> World:
-    """World with a tower before every roof that one can hide: height t at s of the way, s = (H - t) / (H - h)."""
+    """A tower before every roof: height t at s of the way, s = (H - t) / (H - h)."""
     p_nc, _ = rig.camera_pose(p_n, R_nb)
     taken = [(*s.outline_n.mean(axis=0), _radius(s.outline_n)) for s in world.solids if s.height_m > 0.0]
     towers = []

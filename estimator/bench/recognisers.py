@@ -53,7 +53,7 @@ Method: TypeAlias = Callable[[Sample, bool], Answer]  # of a pair; timed or not
 
 
 def until_heard(method: Method, sample: Sample, timed: bool, pairs: int) -> Answer:
-    """A method's first answer that is not silent, else its last; timed with the first pair."""
+    """A method's first answer that is not silent, else its last."""
     answer = method(sample, timed)
     cpu_ms = answer.cpu_ms
     while answer.verdict == "silent" and answer.pair < pairs:
@@ -63,7 +63,7 @@ def until_heard(method: Method, sample: Sample, timed: bool, pairs: int) -> Answ
 
 
 def landfix(sample: Sample, config: PipelineConfig | None = None, timed: bool = True, pairs: int = 2) -> Answer:
-    """Our pipeline, with memory of the pair 0.5 s before; cpu_ms excludes set-up."""
+    """Our pipeline, with memory of the pair 0.5 s before."""
     pipeline, again = (LandmarkPipeline(sample.scene.rig_calibrated, sample.scene.map, config) for _ in range(2))
     stamps = itertools.count(0, _NEXT_NS)
 
@@ -104,7 +104,7 @@ def fused(prior: Prior, fix: LandmarkFix) -> tuple[Array, Array]:
 
 
 def thesis(sample: Sample, timed: bool = True) -> Answer:
-    """The thesis' chapter 5: colours of the map, regions, stereo, best similarity (eq. 5.5) >= 75 %."""
+    """The thesis' chapter 5: best similarity (eq. 5.5) >= 75 %."""
     near = sample.scene.map.near(float(sample.prior.p_n[0]), float(sample.prior.p_n[1]), _NEAR_M)
     if all(m.id != sample.target for m in near):  # a view askew reaches farther
         near += [m for m in sample.scene.map if m.id == sample.target]
@@ -135,7 +135,7 @@ def _measured(sample: Sample, near: list[Landmark]) -> list[Sighting]:
 
 
 class Looked(NamedTuple):
-    """SIFT keypoints (N, 2) px of an image, descriptors (N, 128), and the time they took."""
+    """SIFT keypoints (N, 2) px, descriptors (N, 128), time."""
 
     points: Points
     descriptors: Points

@@ -28,7 +28,7 @@ TIMED: Final = 4  # one sample in so many
 
 
 class Trial(msgspec.Struct, frozen=True):
-    """One sample: visible share, keypoints, redrawn images, answers by method."""
+    """One sample."""
 
     experiment: Experiment
     roof: Roof

@@ -26,7 +26,7 @@ _SAME_WAY, _TINY = 0.5, 1e-30  # cosine: two directions at random in six dimensi
 
 
 class Contradiction(NamedTuple):
-    """unforeseen: consecutive unpredicted fixes since since_ns; last: time [ns] and position (3,) of two."""
+    """unforeseen: consecutive unpredicted fixes; last: time and position (3,) of two."""
 
     unforeseen: int = 0
     since_ns: int = 0
@@ -47,7 +47,7 @@ class Contradiction(NamedTuple):
         return self.unforeseen >= _SHOWN_FIXES and (self.last[-1][0] - self.since_ns) * 1e-9 >= _SHOWN_S
 
     def is_late(self, t_ns: int) -> bool:
-        """Whether a fix of t_ns is too late to be compared with the last unpredicted one."""
+        """Whether a fix is too late to be compared with the last."""
         return bool(self.last) and (t_ns - self.last[-1][0]) * 1e-9 > _APART_S
 
     def _leads_to(self, t_ns: int, z: Pose | Position) -> bool:

@@ -26,7 +26,7 @@ _LEVELLING_NS = 6_000_000_000  # IMU kept before the oldest checkpoint, or what 
 
 @dataclass(slots=True, eq=False)
 class Entry:
-    """An aid: last decision, revisions, samples replayed, reason last reported; failed: processing raised."""
+    """failed: processing raised."""
 
     aid: Aid
     decision: Decision | None = None
@@ -37,7 +37,7 @@ class Entry:
 
 
 class History:
-    """Samples, aids and checkpoints of the last `history_s`, and the tracker behind them."""
+    """Samples, aids and checkpoints of the last `history_s`."""
 
     def __init__(self, tracker: Tracker, history_s: float, samples: ImuBuffer | None = None) -> None:
         self.samples = samples or ImuBuffer()
@@ -88,7 +88,7 @@ class History:
         return None
 
     def change_imu(self, since_ns: int, samples: list[ImuSample]) -> int:
-        """Samples after since_ns replaced by another IMU's; from when on (later if too old)."""
+        """Samples after since_ns replaced by another IMU's; from when on."""
         self.quiet = None
         since_ns = max(since_ns, self._checkpoint_times[0] + 1, self.samples.newest_ns - self._span_ns)
         self.samples.cut(since_ns)
@@ -188,7 +188,7 @@ class History:
             self._hand_over()
 
     def _hand_over(self) -> None:
-        """Publish from the caught-up tracker, unless that would end a published estimate."""
+        """Unless that would end a published estimate."""
         ahead = self._ahead
         if ahead is None:
             return

@@ -101,7 +101,7 @@ class Stretch:
         return any(taken.follows for taken in self.taken)
 
     def is_long(self, t_ns: int) -> bool:
-        """Whether it is too long for another run."""
+        """Too long for another run."""
         return len(self.taken) >= _MOST or t_ns - self.t_ns > _LONGEST_NS
 
 
@@ -159,7 +159,6 @@ def with_estimated(end: Eskf, found: Eskf, stretch: Stretch) -> Eskf:
 
 
 def _distance2(end: Eskf, x: Array) -> float:
-    """(x (-) x_end)^T P^-1 (x (-) x_end) / 15."""
     sigma = np.sqrt(np.diag(end.cov)[: E.SIZE])
     off = local(end.x, x) / sigma
     return float(off @ np.linalg.solve(end.cov[: E.SIZE, : E.SIZE] / np.outer(sigma, sigma), off)) / E.SIZE

@@ -33,7 +33,7 @@ class SlowErrors(NamedTuple):
         )
 
     def joined(self, blocks: Sequence[str], other: "SlowErrors") -> "SlowErrors":
-        """With these blocks of another appended, means included."""
+        """With these blocks of another appended."""
         columns, every = self.columns, [self.tau_s, self.psd, self.mean, self.estimated]
         for block in blocks:
             start, at = E.SIZE + len(every[0]), other.columns[block]
@@ -57,14 +57,14 @@ class SlowErrors(NamedTuple):
         return SlowErrors(columns, *(np.concatenate((values[:begin], values[end:])) for values in every))
 
     def as_state(self, block: str, psd: Array) -> "SlowErrors":
-        """With a block corrected from now on, as a random walk of psd (k,)."""
+        """With a block estimated, a random walk of psd (k,)."""
         at = slice(self.columns[block].start - E.SIZE, self.columns[block].stop - E.SIZE)
         tau_s, driven, estimated = self.tau_s.copy(), self.psd.copy(), self.estimated.copy()
         tau_s[at], driven[at], estimated[at] = np.inf, psd, 1.0
         return SlowErrors(self.columns, tau_s, driven, self.mean, estimated)
 
     def used(self, blocks: Sequence[str]) -> "SlowErrors":
-        """With those of these blocks that it has as the ones that were used last."""
+        """With these blocks as the last used."""
         now = [block for block in blocks if block in self.columns]
         if now == [*self.columns][len(self.columns) - len(now) :]:
             return self

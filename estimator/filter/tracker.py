@@ -131,7 +131,7 @@ class Tracker:
 
     @property
     def shows_mixture(self) -> bool:
-        """The covariance shown is the mixture of the hypotheses; nothing but late_cov is added."""
+        """The covariance shown is the mixture of the hypotheses."""
         core, factor = self.core, self.core.variance_factor
         is_plain = core.is_aligned and not core.conflicts.apart and self.alignment.without_sensor is None
         return is_plain and not factor.lasting > factor.value
@@ -202,7 +202,7 @@ class Tracker:
         return min((s.t_ns for s in (self.core.stretch, beside) if s is not None), default=2**62)
 
     def propagate(self, samples: ImuBuffer, to_ns: int) -> None:
-        """Through the IMU samples to `to_ns`; after a minute without any, the state is given up."""
+        """Through the IMU samples to `to_ns`; given up after a minute without any."""
         core = self.core
         if to_ns - core.t_ns > _LOST_NS:
             self.alignment.lose()
@@ -219,7 +219,7 @@ class Tracker:
         return Mode.COASTING if is_coasting else self.mode_until(t_ns)[0]
 
     def mode_until(self, t_ns: int) -> tuple[Mode, int]:
-        """Mode at t_ns with the IMU, and how long it lasts without another measurement."""
+        """Mode at t_ns, and how long it lasts."""
         core = self.core
         if core.hypotheses is None or not core.is_aligned:
             if self.alignment.shown is not None:
@@ -342,7 +342,6 @@ class Tracker:
         return Decision(Reason.FUSED, detail=aid.detail)
 
     def _spoofed(self, aid: Aid) -> None:
-        """The receiver says that it is misled: the hypothesis without it leads, where there is one."""
         before = self.sources.get(aid.topic, _UNKNOWN)
         self.sources[aid.topic] = before.spoofed(aid.rules, aid.t_ns)
         if before.phase is Phase.ACTIVE and self.core.is_aligned and self.core.hypotheses is not None:
@@ -405,7 +404,6 @@ class Tracker:
         return Decision(reason, tuple(verdict.seen.nu.tolist()), tuple(sigma.tolist()), ratio, detail, position), state
 
     def _forget_estimated(self, aid: Aid, z: Measurement) -> None:
-        """Wind or sensor has changed: its estimates are unknown again, while positions show the motion."""
         core = self.core
         if not isinstance(z, AirVelocity | DragForce):
             return

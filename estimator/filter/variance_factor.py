@@ -37,7 +37,7 @@ class Recent(NamedTuple):
 
 
 class VarianceFactor(NamedTuple):
-    """value: f at t_ns; recent: by topic; usual: consecutive readings with a usual median, capped; lasting: published f."""
+    """value: f at t_ns; usual: consecutive readings with a usual median; lasting: published f."""
 
     value: float = 1.0
     t_ns: int = 0

@@ -51,7 +51,7 @@ class KeyFrames:
         self._key: Pair | None = None
 
     def request(self, pair: Pair, track: Track, arrived_ns: int) -> tuple[OdometryRequest, Pair] | None:
-        """The request with this later pair, and its earlier pair; None where not due or without prediction."""
+        """The request and its earlier pair; None: not due, or no prediction."""
         key = self._key
         if key is not None and 0 <= pair.t_ns - key.t_ns < self._interval_ns:
             return None
@@ -62,7 +62,7 @@ class KeyFrames:
         return None if request is None else (request, key)
 
     def _predicted(self, first: Pair, second: Pair, track: Track, arrived_ns: int) -> OdometryRequest | None:
-        """dp_b = R_0^T int v dt, dq = prod exp(w dt); covariances grow with time."""
+        """dp_b = R_0^T int v dt, dq = prod exp(w dt)."""
         t0_ns, t1_ns = first.t_ns, second.t_ns
         estimates = track.between(t0_ns, t1_ns)
         if not estimates:

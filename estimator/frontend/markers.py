@@ -25,7 +25,7 @@ class LandmarkBoard:
         self._place = np.zeros(3)
 
     def news(self, t_ns: int, p_n: Array, used: frozenset[str]) -> list[Encoded]:
-        """The message if due; p_n: estimated position, used: landmark ids of the newest fix."""
+        """The message if due; used: landmark ids of the newest fix."""
         if self._sent_ns is not None:
             same = used == self._used and np.linalg.norm((p_n - self._place)[:2]) <= _MOVED_M
             if same or 0 <= t_ns - self._sent_ns < _LEAST_NS:

@@ -35,7 +35,7 @@ class _Look(NamedTuple):
 
 
 class Processor:
-    """Requests and images to messages; each run of requests starts with empty recognisers."""
+    """Each run of requests starts with empty recognisers."""
 
     def __init__(
         self, rig: StereoRig, landmarks: LandmarkMap, known: MapImage | None = None, config: RecogniserConfig | None = None
@@ -55,7 +55,7 @@ class Processor:
         return round(self._rig.time_offset_s * 1e9)
 
     def process(self, request: VisionRequest, images: tuple[Shot | None, Shot | None]) -> list[Encoded]:
-        """The report, the fix if any; for viewers changed landmarks and the cameras. Never raises."""
+        """The report, the fix if any, messages for viewers. Never raises."""
         if request.run != self._run:
             self._run = request.run
             self._recognisers = Recognisers(self._rig, self._landmarks, self._known, self._config)
@@ -76,7 +76,7 @@ class Processor:
         return [*encode(report), *([encode_input(result.fix)] if result.fix else []), *news]
 
     def draw(self, mode: str) -> Encoded | None:
-        """The last image with the map drawn from the estimate and residuals, or None. Never raises."""
+        """The last image with the map drawn, or None. Never raises."""
         if self._last is None or self._began_ns is None:
             return None
         request, left, right, identified = self._last

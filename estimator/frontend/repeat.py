@@ -25,7 +25,7 @@ class Asked(NamedTuple):
 
 
 class Repeat(ABC):
-    """Puts answers among a log's records; topics: left, right images; request_topic: repeated; counts: text."""
+    """Puts answers among a log's records; topics: left, right images."""
 
     counts: object
 

@@ -1,4 +1,4 @@
-"""Replay that searches the images for landmarks again, in place of the logged fixes."""
+"""Landmarks searched again, in place of the logged fixes."""
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
@@ -24,7 +24,7 @@ _UNSTAMPED: Final = frozenset({LANDMARKS_TOPIC, STATIC_TOPIC})  # whose stamps a
 
 
 class ImageCounts(msgspec.Struct):
-    """processed: requests; same, different: compared with the log's fixes; missing: images."""
+    """same, different: compared with the log's fixes; missing: images."""
 
     processed: int = 0
     fixes: int = 0

@@ -1,4 +1,4 @@
-"""Replay that measures the motion between recorded pairs again, in place of the logged increments."""
+"""Motion measured again, in place of the logged increments."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -19,7 +19,7 @@ _Answers: TypeAlias = dict[str, Encoded]
 
 
 class OdometryCounts(msgspec.Struct):
-    """steps: requests; measured: increments; same, different: compared with the log's; missing: images."""
+    """steps: requests; measured: increments; same, different: against the log's."""
 
     steps: int = 0
     measured: int = 0

@@ -124,7 +124,7 @@ class Track:
         return self._estimates[-1].mode if self._estimates else ""
 
     def between(self, t0_ns: int, t1_ns: int) -> list[Estimate]:
-        """Estimates in and next to the interval, in order; [] where an end is not covered."""
+        """Estimates in and next to the interval; [] where an end is not covered."""
         kept = sorted((e for e in tuple(self._estimates)), key=lambda e: e.t_ns)
         inside = [e for e in kept if t0_ns < e.t_ns < t1_ns]
         before, after = [e for e in kept if e.t_ns <= t0_ns], [e for e in kept if e.t_ns >= t1_ns]

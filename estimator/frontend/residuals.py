@@ -25,9 +25,7 @@ _LEAST_FOUND, _LEAST_POINTS = 0.5, 8  # a landmark is seen if so many points of 
 
 
 class View(NamedTuple):
-    """Estimate at exposure t_ns: p_n (3,), R_nb (3, 3), covariance (6, 6) about the axes of n; identified: landmarks of its
-    fix.
-    """
+    """Estimate at exposure; covariance (6, 6) about the axes of n; identified: landmarks of its fix."""
 
     t_ns: int
     p_n: Array
@@ -99,7 +97,7 @@ class Summary(NamedTuple):
 
 
 class OverlayResult(msgspec.Struct, frozen=True):
-    """All images, and those with a fix; ratio: median of residual / expected, 1: consistent."""
+    """ratio: median of residual / expected, 1: consistent."""
 
     log: str
     video: str
@@ -124,7 +122,7 @@ class Frame(NamedTuple):
 
 
 class Overlay:
-    """Draws and measures images in order; right: of the right camera; times from start_ns."""
+    """Draws and measures images in order; times from start_ns."""
 
     def __init__(self, rig: StereoRig, landmarks: LandmarkMap, start_ns: int, right: bool = False) -> None:
         self._rig, self._landmarks, self._start_ns, self._right = rig, landmarks, start_ns, right
@@ -143,7 +141,7 @@ class Overlay:
         measured: Collection[str] | None = None,
         draw: bool = True,
     ) -> Frame:
-        """The image, map drawn where wanted; measured: landmark ids, None: all in view."""
+        """The image; measured: landmark ids, None: all in view."""
         canvas = np.asarray(to_8_bit(image), np.uint8)
         place = self._rig.right_camera_pose if self._right else self._rig.camera_pose
         p_nc, R_nc = place(view.p_n, view.R_nb)

@@ -38,7 +38,7 @@ SPAWNED = _Workers()
 
 @contextmanager
 def pool(jobs: int | None, begin: Callable[[], None] | None = None) -> Iterator[ProcessPoolExecutor]:
-    """`jobs` processes (None: one a core) that call `begin` first; an exception in the block ends them."""
+    """`jobs` processes (None: one a core) that call `begin` first."""
     others = set(active_children())
     executor = ProcessPoolExecutor(jobs, SPAWNED, begin)
     try:

@@ -28,7 +28,7 @@ _GATED_SIGMAS: Final = 4.0
 
 
 class Position(NamedTuple):
-    """Newest position of a source against the estimate: innovation and sigma, NED [m], (3,); last fusion."""
+    """Newest position of a source: innovation and sigma, NED [m], (3,)."""
 
     kind: str
     t_ns: int
@@ -93,7 +93,7 @@ def _weighed(now: Snapshot) -> Iterator[Fault]:
 
 
 def _is_spare(member: Hypothesis) -> bool:
-    """Kept for a possibly misled receiver, not in conflict: its prior weight is configured here."""
+    """Kept for a possibly misled receiver, not in conflict."""
     return bool(member.without) and not member.benefit
 
 

@@ -42,7 +42,7 @@ class Monitor:
         self._units = [protection_level(gaussian, self._shares[0], pure, q) for q in (in_plane, one_axis)]
 
     def begin_again(self) -> None:
-        """After a clock step or a new alignment: forget all, answer at once."""
+        """Forget all, answer at once."""
         self._positions, self._next_ns = {}, None
 
     @property

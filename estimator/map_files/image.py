@@ -1,4 +1,4 @@
-"""The map's image from disk: position of its pixels in n, height of its ground."""
+"""The map's image from disk."""
 
 from pathlib import Path
 
@@ -79,7 +79,7 @@ def _to_n(lonlat: Array, height_m: float | Array, at: Vec3) -> Array:
 
 
 def _affine(px: Array, place_n: Array, path: Path) -> Array:
-    """A (2, 3): place = A (u, v, 1), least squares. Raises MapError where the area is too curved."""
+    """place = A (u, v, 1), least squares. Raises MapError: too curved."""
     terms = np.column_stack((px, np.ones(len(px))))
     solution = np.linalg.lstsq(terms, place_n, rcond=None)[0]
     pixel_m = float(np.sqrt(abs(np.linalg.det(solution[:2]))))

@@ -68,7 +68,7 @@ def load_raster(path: Path, epsg: int = 0) -> tuple[Array, Array, int]:
 
 
 def georeference(path: Path, epsg: int = 0) -> tuple[Array, int]:
-    """Affine (2, 3) and EPSG code of an image file; epsg: if not in the file. Raises MapError."""
+    """Affine (2, 3) and EPSG code of a file; epsg: if not in it. Raises MapError."""
     tags = _tags(path)
     affine = _tiff_affine(tags) if _TIEPOINT in tags or _TRANSFORM in tags else _world_file(path)
     if affine is None:
@@ -103,7 +103,7 @@ def _decode(path: Path, flags: int) -> cv2.typing.MatLike:
 
 
 def coloured(the_map: LandmarkMap, ortho: Orthophoto) -> LandmarkMap:
-    """The map with the image's median colour for landmarks inside it that have none."""
+    """The map, uncoloured landmarks with the image's median colour."""
     columns = the_map.columns
     colours = columns.colour_bgr.copy()
     missing = np.flatnonzero(colours[:, 0] < 0)
@@ -170,7 +170,7 @@ def _world_file(path: Path) -> Array | None:
 
 
 def _tiff_affine(tags: dict[int, tuple[float, ...]]) -> Array:
-    """A of a GeoTIFF (standard 1.1, section 7.3); (0, 0) is a pixel's corner unless it says point."""
+    """GeoTIFF 1.1, section 7.3; (0, 0) is a pixel's corner unless it says point."""
     if _TRANSFORM in tags:
         affine: Array = np.array(tags[_TRANSFORM]).reshape(4, 4)[:2, [0, 1, 3]]
     else:

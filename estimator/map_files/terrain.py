@@ -27,7 +27,7 @@ _MOST_TILES: Final = 64
 
 
 class _Tile(NamedTuple):
-    """heights_m (H, W), NaN where unknown; inverse (2, 2), start (2,): x, y -> column, row; system of x, y."""
+    """inverse (2, 2), start (2,): x, y -> column, row."""
 
     heights_m: Array
     inverse: Array
@@ -35,7 +35,7 @@ class _Tile(NamedTuple):
     epsg: int
 
     def at(self, lonlat: Array) -> Array:
-        """Bilinear, NaN outside; the outer points cover half a cell more, where tiles meet."""
+        """Bilinear, NaN outside; the outer points cover half a cell more."""
         xy = projection.from_lonlat(self.epsg, lonlat)
         assert xy is not None
         column, row = ((xy - self.start) @ self.inverse.T).T

@@ -61,7 +61,7 @@ class Flight:
         (save_mounted if self.cameras.one_camera else save_rig)(rig_file, self.scene.rig_calibrated)
 
     def draw(self, k: int) -> tuple[Encoded, ...]:
-        """The k-th pair, or image, as on the wire."""
+        """The k-th pair or image."""
         cameras, t_ns, rng = self.cameras, int(self.t_ns[k]), np.random.default_rng([self.seed, k])
         since_s = (t_ns - EPOCH_NS) * 1e-9
         p_n, R_nb, v_n, omega_b = _pose(self.truth, t_ns)
@@ -119,7 +119,7 @@ def plan(cameras: Cameras, simulation: Simulation, seed: int) -> Flight:
 
 
 def configuration(cameras: Cameras, simulation: Simulation, map_name: str, rig_name: str) -> str:
-    """The flight's configuration with images, map, rig, relative to it."""
+    """The flight's configuration with images, map, rig."""
     right = "[]" if cameras.one_camera else f'"{RIGHT}"'
     text = simulation.config_toml.replace("[inputs]\n", f'[inputs]\nleft_image = "{LEFT}"\nright_image = {right}\n')
     odometry = "\n[visual_odometry]\nenabled = true\nground_m = 0.0\n" if cameras.odometry else ""

@@ -115,7 +115,7 @@ def logged(
     *,
     odometry: bool = True,
 ) -> Iterator[Message]:
-    """What a replay logs: each record but earlier outputs, and the outputs it caused; builder counts."""
+    """Each record but earlier outputs, and the outputs it caused."""
     fusion, decoder, publisher = Fusion(config.fusion()), config.decoder(), Publisher(config.output)
     for record in (seen for read in records for seen in (processor.records(read) if processor else (read,))):
         topic, schema, log_time_ns, data = record.topic, record.schema, record.log_time_ns, record.data

@@ -1,4 +1,4 @@
-"""A simulation as a log: sensor messages and truth in order of arrival, and its configuration."""
+"""A simulation as a log, and its configuration."""
 
 import heapq
 from collections.abc import Callable, Iterator

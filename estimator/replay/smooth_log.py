@@ -97,7 +97,7 @@ def _read(source: Path, decoder: Decoder, tell: Callable[[float], None]) -> list
 
 
 def of_one_imu(messages: list[Input], config: FusionConfig, tell: Callable[[float], None] = lambda _: None) -> list[Input]:
-    """Only the samples of the IMU that led longest, while it led, by a second estimation."""
+    """Only samples of the IMU that led longest, by a second estimation."""
     if len(config.imu_topics) < 2:
         return messages
     fusion, led = Fusion(config), dict[int, str]()  # topics by the time from which they led

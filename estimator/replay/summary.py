@@ -54,7 +54,7 @@ class ReplaySummary(msgspec.Struct, frozen=True):
 
 
 class SummaryBuilder:
-    """Counts records, inputs, outputs; origin: of the map, if configured; watch: for findings."""
+    """Counts records, inputs, outputs; watch: for findings."""
 
     def __init__(self, origin: Vec3 | None = None, *, watch: bool = True) -> None:
         self.records = 0

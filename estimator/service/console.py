@@ -23,7 +23,7 @@ _NO_ESTIMATE_YET: Final = frozenset({Mode.STARTING, Mode.ALIGNING})
 
 
 class Console:
-    """Prints until the context ends (quiet: nothing); say() and note() never block or raise."""
+    """Prints until the context ends; say() and note() never block or raise."""
 
     def __init__(self, *, quiet: bool = True) -> None:
         self._quiet = quiet
@@ -84,7 +84,7 @@ class Console:
             self._silent_ns = 0  # said
 
     def closed(self, logs: Sequence[Path], lost_inputs: int) -> None:
-        """Print each log file's size and completeness, after the log is closed."""
+        """Print each log file's size and completeness."""
         if self._quiet:
             return
         for topic, count in self._malformed.items():

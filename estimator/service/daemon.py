@@ -92,7 +92,7 @@ class Daemon:
             self._status.note_defect(f"{type(error).__name__}: {error}")
 
     def take(self, arrival: Arrival) -> None:
-        """Take one message; behind an IMU sample, with most time left, also answers of our vision."""
+        """Take one message; behind an IMU sample also answers of vision."""
         if isinstance(self._handle(arrival), ImuSample):
             self._take_own()
         if not len(self.mailbox):

@@ -59,7 +59,7 @@ class LiveServer:
         return any(channel.has_sinks() for channel in tuple(self._channels.values()))
 
     def offer(self, topics: Mapping[str, str]) -> None:
-        """Announce topics before their messages; topic -> type, unknown types omitted."""
+        """Announce topics, topic -> type."""
         for topic, schema in topics.items():
             if topic not in self._channels and is_known(schema):
                 definition = self._foxglove.Schema(name=schema, encoding="ros2msg", data=schema_text(schema).encode())
@@ -106,7 +106,7 @@ def topics_of(log: Path, progress: Callable[[float], None] = lambda _: None) -> 
 
 
 def play(server: LiveServer, log: Path, speed: float, progress: Callable[[float], None] = lambda _: None) -> int:
-    """Play a log at `speed`; number of messages. Silence is cut to a second."""
+    """Play a log; number of messages. Silence is cut to a second."""
     due_s, last_ns, count = time.monotonic(), None, 0
     with LogReader(log) as reader:
         for count, record in enumerate(reader, 1):

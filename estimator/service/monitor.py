@@ -183,7 +183,7 @@ def status(session: zenoh.Session) -> str:
 
 
 def watch(session: zenoh.Session, domain: int, endpoint: str, seconds: float | None, picture: Path | None) -> None:
-    """Show the screen until Ctrl-C or for `seconds`; save the last one as picture. Raises BusError."""
+    """Show the screen for `seconds`; save the last one. Raises BusError."""
     view = View()
     kept = _listen(session, domain, view)
     console = Console()

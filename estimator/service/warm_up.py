@@ -16,7 +16,7 @@ _NOT_GIVEN: tuple[list[int], ...] = ([], [3, 4], [5])  # of x y z rx ry rz: noth
 
 
 def warm_up() -> None:
-    """Two seconds of flight with late, partial and false fixes and a gap, through decoder, estimator, encoders."""
+    """Two seconds of flight with late, partial, false fixes and a gap."""
     decoder, fusion, publisher = Decoder(), Fusion(FusionConfig(origin=_PLACE)), Publisher(OutputConfig())
     for message in _flight():
         topic, schema, data = encode_input(message)

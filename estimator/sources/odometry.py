@@ -83,7 +83,7 @@ class Begins(NamedTuple):
 
 
 class Increment(NamedTuple):
-    """End of an increment; reported: covariance (6, 6) of cameras (see `widened`)."""
+    """End of an increment; reported: covariance (6, 6) of cameras."""
 
     name: bytes
     z: RelativePose
@@ -332,7 +332,7 @@ def widest(state: SourceState, rules: Rules) -> float:
 
 
 def judged(state: SourceState, *, alone: bool, passed: bool, off: Array) -> tuple[SourceState, bool]:
-    """The increment passed its gate or not; off (k,): innovations in sigma. Also whether their sum exceeds its limit."""
+    """off (k,): innovations in sigma. Also whether their sum exceeds its limit."""
     if state.phase is Phase.STARTING:
         return replace(state, passed=state.passed + 1 if passed and not alone else 0), False
     sums = cusum(state.sums, np.clip(off, -_CLIP, _CLIP), np.ones(len(off)), CUSUM_SLACK)

@@ -1,4 +1,4 @@
-"""Compiles missing kernels of flight and demonstration, two processes at a time: python -m estimator.tools.kernels"""
+"""Compiles missing kernels: python -m estimator.tools.kernels"""
 
 import gc
 import sys
@@ -32,7 +32,7 @@ class KernelsError(Exception):
 
 
 def prepare(report: Report = lambda _, __: None, parts: Sequence[Callable[[], None]] = ()) -> None:
-    """Compile all where a source has changed; parts: a process each (none: all). Raises KernelsError."""
+    """Compile all where a source has changed. Raises KernelsError."""
     if compilation.is_current():
         return
     compilation.forget()

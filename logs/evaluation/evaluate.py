@@ -73,7 +73,7 @@ class Comparison:
 
     @property
     def t_ns(self) -> Times:
-        """The common stamps, (n,)."""
+        """Common stamps, (n,)."""
         return self.truth.t_ns
 
     @property

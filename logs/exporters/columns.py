@@ -101,7 +101,7 @@ def _sigma(P: Array) -> Array:
 
 
 def _angles(trajectory: Trajectory) -> Array:
-    """Roll, pitch, heading [deg], (n, 3): R_nb = C_ned,enu R_map,flu C_flu,frd = Rz(heading) Ry(pitch) Rx(roll)."""
+    """Degrees (n, 3): R_nb = C_ned,enu R_map,flu C_flu,frd = Rz(heading) Ry(pitch) Rx(roll)."""
     angles, given = np.full((len(trajectory), 3), np.nan), trajectory.has_attitude
     if given.any():
         R_nb = ENU_FROM_NED.T @ rotation(trajectory.q_wxyz[given]).as_matrix() @ FLU_FROM_FRD

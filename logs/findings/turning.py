@@ -109,7 +109,6 @@ def field(turned: Turned, stream: Stream) -> Cause | None:
 
 
 def _field_rest(back: Array, m: Array, change: Array) -> float:
-    """Share of power left by m' = exp(-phi) (m - b) + b, over b."""
     left = change - np.einsum("nij,nj->ni", back, m)
     A = -back.reshape(-1, 3)
     b, *_ = np.linalg.lstsq(A.T @ A + 1e-3 * np.trace(A.T @ A) * np.eye(3), A.T @ left.ravel(), rcond=None)

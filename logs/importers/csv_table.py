@@ -203,7 +203,7 @@ def _number(cell: str) -> float:
 
 
 def _times(file: str, names: tuple[str, ...], rows: list[str], stems: tuple[str, ...], t0_ns: int | None) -> Times | None:
-    """Stamps (n,) ns since 1970, exact; -1: no number; None: no column."""
+    """ns since 1970, exact; -1: no number; None: no column."""
     units = {stem + unit: ns for unit, ns in _TIME_UNITS.items() for stem in stems}
     name = next((n for n in units if n in names), None)
     if name is None:
@@ -242,7 +242,7 @@ def _decimal(cell: str) -> Decimal | None:
 
 
 def _unit_by_size(stamp: float) -> int:
-    """ns per unit of a stamp without a named unit: by size since 1970, else seconds."""
+    """By size since 1970, else seconds."""
     for smallest, unit_ns in ((1e17, 1), (1e14, 10**3), (1e11, 10**6)):
         if stamp > smallest:
             return unit_ns

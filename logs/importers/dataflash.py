@@ -209,7 +209,7 @@ def _gnss(source: Path, tables: Tables, suffix: str, timebase_us: int) -> list[S
 
 
 def _variances(gps: Mapping[str, Array], gpa: Mapping[str, Array] | None) -> tuple[Array, Array]:
-    """Variances (n, 3) m^2, m^2/s^2: receiver accuracies (GPA), else HDOP and unknown."""
+    """(n, 3) m^2, m^2/s^2: GPA, else HDOP and unknown."""
     n = len(gps[_TIME])
     position = sensors.variance_from_dop(gps["HDop"], np.full(n, np.nan))
     velocity = np.full((n, 3), np.nan)
@@ -224,7 +224,7 @@ def _variances(gps: Mapping[str, Array], gpa: Mapping[str, Array] | None) -> tup
 
 
 def _receiver_time_us(table: Mapping[str, Array]) -> Array:
-    """Week time of fixes on the log's clock [us]: arrival less excess over the fastest around."""
+    """Arrival less excess over the fastest around [us]."""
     arrived_us = table[_TIME]
     week, week_ms = (np.where(np.isnan(table[new]), table[old], table[new]) for new, old in (("GWk", "Week"), ("GMS", "TimeMS")))
     dated = np.flatnonzero(week > 0)
@@ -288,7 +288,7 @@ def _camera(tables: Tables, timebase_us: int) -> list[Stream]:
 
 
 def _flow(tables: Tables, timebase_us: int, streams: Sequence[Stream], notes: list[str]) -> list[Stream]:
-    """Rates [rad/s] between consecutive rows; the turn about z is the IMU's."""
+    """The turn about z is the IMU's."""
     table = tables.get("OF")
     if table is None or len(table[_TIME]) <= 1:
         return []

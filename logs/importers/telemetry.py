@@ -130,7 +130,7 @@ def _stamp_us(message: Any) -> float:
 
 
 def _clock_steps(everything: Array) -> tuple[Array, Array]:
-    """First message after each ground clock step, the step [us]; arrival [us], stamp [us since boot]."""
+    """First message after each step, and the step [us]."""
     booting = everything[(everything[:, 1] > 0) & (everything[:, 1] < _UNIX_US)]
     arrived, stamped = np.diff(booting[:, 0]), np.diff(booting[:, 1])
     steps = np.flatnonzero((np.abs(arrived - stamped) > _CLOCK_SET_US) & (np.abs(stamped) < _REBOOT_US))

@@ -151,7 +151,7 @@ def _gnss(source: Path, table: Table | None, topic: str) -> list[Stream]:
 
 
 def _position_variance(table: Table) -> Array:
-    """(n, 3) m^2: h_acc, v_acc [mm], else eph, epv [100 x HDOP, VDOP]; nan: not given."""
+    """(n, 3) m^2: h_acc, v_acc [mm], else eph, epv [100 x HDOP, VDOP]."""
     hdop, vdop = (np.where(table[name] == _UNKNOWN, np.nan, table[name] * 1e-2) for name in ("eph", "epv"))
     accuracy = table.vector("h_acc", "h_acc", "v_acc") * 1e-3
     return np.where((accuracy > 0.0).all(axis=1, keepdims=True), accuracy**2, sensors.variance_from_dop(hdop, vdop))

@@ -138,7 +138,7 @@ def _open(source: Path) -> Any:
 
 
 def _ends_within_a_message(source: Path) -> bool:
-    """A message is its size (2 bytes), its kind (1) and as many bytes."""
+    """Message: size (2 bytes), kind (1), content."""
     with source.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
         at, end = _HEADER_BYTES, len(data)
         while at + 3 <= end:
@@ -235,7 +235,7 @@ def _other_imus(data: Sequence[Any], clock_us: int, notes: list[str]) -> list[St
 
 
 def _place(topic: Topic) -> tuple[Array, Array]:
-    """(n, 3) deg, deg, m above the ellipsoid if known, else the sea; and (n,) their difference."""
+    """(n, 3) deg, deg, m above the ellipsoid, else the sea; and (n,) their difference."""
     if "latitude_deg" in topic:
         lla, ellipsoid = _vector(topic, "latitude_deg", "longitude_deg", "altitude_msl_m"), _vector(topic, "altitude_ellipsoid_m")
     else:

@@ -236,7 +236,7 @@ def _vision_request(request: VisionRequest) -> dict[str, Any]:
 
 
 def _imu(sample: ImuSample, mounting: ImuMounting) -> dict[str, Any]:
-    """No orientation: -1 (sensor_msgs/msg/Imu); zero covariances: unknown."""
+    """No orientation: -1 (sensor_msgs/msg/Imu)."""
     not_measured = np.zeros(9)
     not_measured[0] = -1.0
     R_ib = mounting.matrix().T

@@ -143,7 +143,7 @@ class Parts:
         self._outline(number, ours.id, ours.geometry.coordinates, attributes)
 
     def _add_any(self, number: int, raw: msgspec.Raw) -> None:
-        """Several polygons in one feature become landmarks of their own, id/1, id/2, ..."""
+        """Several polygons become landmarks id/1, id/2, ..."""
         try:
             feature = _decode_feature(raw)
         except _UNDECODABLE as error:

@@ -62,7 +62,7 @@ def _zone(epsg: int) -> tuple[float, float] | None:
 
 
 def _inverse(xy: Array, lon0: float, false_north: float) -> Array:
-    """Inverse transverse Mercator, Krueger's series (Karney 2011, eq. 11-15, 35-36): below 1 mm."""
+    """Krueger's series (Karney 2011, eq. 11-15, 35-36): below 1 mm."""
     xi, eta = (xy[:, 1] - false_north) / (0.9996 * _RADIUS), (xy[:, 0] - 500_000.0) / (0.9996 * _RADIUS)
     waves = [(beta, 2.0 * (j + 1)) for j, beta in enumerate(_BETA)]
     xi_sphere = xi - sum(beta * np.sin(m * xi) * np.cosh(m * eta) for beta, m in waves)

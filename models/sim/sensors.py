@@ -33,7 +33,7 @@ class Grade:
 
 
 def _grade(arw: float, gyro_bi: float, vrw: float, accel_bi: float, gyro_turn_on: float, accel_turn_on: float) -> Grade:
-    """From the data sheet's units: deg/sqrt(h), deg/h, m/s/sqrt(h), milli-g; turn-on deg/s, milli-g."""
+    """Of deg/sqrt(h), deg/h, m/s/sqrt(h), milli-g; turn-on deg/s, milli-g."""
     noise = ImuNoise(
         gyro_noise=math.radians(arw) / 60.0,
         accel_noise=vrw / 60.0,

@@ -223,7 +223,7 @@ def _ransac(rig: StereoRig, px: Array, x_n: Array, inlier_px: float) -> NDArray[
 
 
 def _position(rig: StereoRig, R_nb: Array, px: Array, x_n: Array) -> Array:
-    """p_n at a known attitude, without a plane's mirrored pose: sum (I - r r^T)(x - p_nc) = 0, r the rays."""
+    """p_n at a known attitude: sum (I - r r^T)(x - p_nc) = 0, r the rays."""
     rays = rig.left.ray(px) @ (R_nb @ rig.R_bc).T
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
     p_nc = np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, x_n))
@@ -234,7 +234,6 @@ def _position(rig: StereoRig, R_nb: Array, px: Array, x_n: Array) -> Array:
 def _distances(
     rig: StereoRig, pose: tuple[Array, Array], px: Array, x_n: Array, sigma_px: float, map_image: GroundImage
 ) -> Array:
-    """Squared Mahalanobis distance (N,) of matches from a pose; inf behind or beside the camera."""
     p_nc, R_nc = rig.camera_pose(*pose)
     off = px - rig.left.project((x_n - p_nc) @ R_nc)
     seen = np.isfinite(off).all(axis=1) & _far_enough(rig, pose, x_n, map_image)
@@ -245,7 +244,7 @@ def _distances(
 
 
 def _far_enough(rig: StereoRig, pose: tuple[Array, Array], x_n: Array, map_image: GroundImage) -> NDArray[np.bool_]:
-    """Points (N,) deeper than the relief is high; nearer ones lean nonlinearly."""
+    """Points (N,) deeper than the relief is high."""
     p_nc, R_nc = rig.camera_pose(*pose)
     far: NDArray[np.bool_] = (x_n - p_nc) @ R_nc[:, 2] > map_image.heights.unevenness_m
     return far

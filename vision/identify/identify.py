@@ -92,7 +92,7 @@ def identify(
 
 
 def _roof_scale(sightings: list[Sighting], landmarks: Catalogue, prior: Prior) -> Array:
-    """Factor (M, J) by which an arm ends on each landmark's roof, at the prior's height."""
+    """Factor (M, J) by which an arm ends on each roof."""
     down = np.array([max(s.arm_n[2], 1e-3) for s in sightings]).reshape(-1, 1)
     return np.asarray(np.maximum((landmarks.position_n[None, :, 2] - prior.p_n[2]) / down, 1e-3))
 

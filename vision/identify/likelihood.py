@@ -80,7 +80,7 @@ def options(
 
 
 class _Pairs(NamedTuple):
-    """N pairs of region and landmark: arm (N, 3); target, variance (N, 3) mapped; features, described, known (N, 4)."""
+    """N pairs: arm (N, 3); target, variance (N, 3) mapped; features, described, known (N, 4)."""
 
     region: NDArray[np.int64]
     landmark: NDArray[np.int64]

@@ -79,7 +79,7 @@ def cut_off(
 
 
 def _laid(outline: Array, R_nc: Array, rig: StereoRig, down_m: float) -> tuple[Array, slice]:
-    """An outline (K, 2) px on the level plane down_m below the camera: (K, 3), anticlockwise from above; its order."""
+    """An outline (K, 2) px on the level plane: (K, 3), anticlockwise from above; its order."""
     rays = rig.left.ray(outline) @ R_nc.T
     points = rays * (down_m / rays[:, 2])[:, None]
     order = slice(None, None, 1 if polygon.area(np.ascontiguousarray(points[:, :2])) > 0.0 else -1)

@@ -82,7 +82,7 @@ def _is_rectified(rig: StereoRig) -> bool:
 
 
 def _rows(rig: StereoRig) -> Array:
-    """R with x_c' = R @ x_c: x along the baseline, z between the optical axes (Fusiello, Trucco, Verri 2000)."""
+    """x_c' = R @ x_c: x along the baseline, z between the axes (Fusiello, Trucco, Verri 2000)."""
     if not rig.baseline_m > 0.0:
         raise ValueError("stereo rig: the two cameras are at the same position")
     x = -rig.R_rc.T @ rig.t_rc / rig.baseline_m

@@ -241,7 +241,7 @@ class Mapper:
         return [chosen.get(i, -1) for i in range(len(observations))]
 
     def _distance(self, one: Observation, track: Track, position: Array) -> float:
-        """Squared Mahalanobis distance in position and sides (two axes: rays lack length)."""
+        """Squared Mahalanobis distance in position and sides."""
         S = np.linalg.inv(track.information) + np.linalg.inv(one.ray) + one.F @ one.F.T
         off, sides = one.z - position, one.log_sides - track.log_sides
         return float(off @ np.linalg.solve(S, off) + np.sum(sides**2 / (2.0 * one.log_sigma**2)))

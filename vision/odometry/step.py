@@ -294,7 +294,7 @@ def _difference(solution: Solution, prediction: Prediction) -> tuple[Array, Arra
 
 
 def _disparity_sigma_px(rig: StereoRig) -> float:
-    """Common disparity error left by calibration: principal points, right camera's turn about y."""
+    """Of calibration: principal points, right camera's turn about y."""
     variance = sum(float(c.covariance[2, 2]) for c in (rig.left, rig.right) if c.covariance is not None)
     if rig.covariance_rc is not None:
         variance += rig.left.fx**2 * float(rig.covariance_rc[4, 4])

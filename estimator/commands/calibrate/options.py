@@ -63,7 +63,7 @@ def board_of(size: str, square_mm: float, marker_mm: float, dictionary: str) -> 
 
 
 def check_outputs(report_file: Path, out: Path | None, *inputs: Path) -> None:
-    """Refuse unwritable files before the work. Raises CalibrationError, LogError."""
+    """Raises CalibrationError, LogError for unwritable files."""
     from calib.errors import CalibrationError
     from logs.store.reader import check_output
 
@@ -108,7 +108,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def check_size(camera: "CameraModel", view: "View") -> None:
-    """Refuse images not of the calibrated size. Raises CalibrationError."""
+    """Raises CalibrationError for images of another size."""
     from calib.errors import CalibrationError
 
     if (view.width, view.height) != (camera.width, camera.height):

@@ -50,7 +50,7 @@ def progress(title: str) -> Iterator[Reported]:
 
 @contextmanager
 def kept_on_interrupt(outputs: "Callable[[], Sequence[Path]]") -> Iterator[None]:
-    """On Ctrl-C, name the files written so far, and exit with code 130."""
+    """On Ctrl-C, name the written files; exit code 130."""
     before = {path: _stat(path) for path in outputs()}
     try:
         yield

@@ -1,4 +1,4 @@
-"""Images of files, folders, patterns, videos, logs or a live camera, one at a time."""
+"""Images of files, folders, videos, logs, cameras."""
 # ruff: noqa: PLC0415  (imported where needed, so that --help is fast)
 
 import re

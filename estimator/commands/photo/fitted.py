@@ -20,7 +20,7 @@ _QUARTERS: Final = {1: 0, 6: 1, 3: 2, 8: 3}
 
 
 def quarter_turns(path: Path) -> int:
-    """Clockwise quarters by which a viewer turns the photo. Raises CalibrationError for mirrored ones."""
+    """Clockwise quarters by which a viewer turns the photo. Raises CalibrationError."""
     from PIL import Image
 
     try:
@@ -34,7 +34,7 @@ def quarter_turns(path: Path) -> int:
 
 
 def fitted(path: Path, image: "Image", camera: "CameraModel", turns: int) -> "tuple[Image, bool]":
-    """The photo at the camera's size, and whether turned upright. Raises CalibrationError for another aspect."""
+    """The photo at the camera's size, and whether turned upright. Raises CalibrationError."""
     import numpy as np
 
     from vision.image.scaled import fits, scaled

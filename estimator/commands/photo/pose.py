@@ -58,7 +58,7 @@ def prior_of(
 
 
 def _attitude(tags: Tags, camera_pitch_deg: float | None, where: str) -> tuple[float, float, float]:
-    """Roll, pitch and yaw of the camera; 0, 0, 0 is what a camera without a gimbal writes."""
+    """0, 0, 0 is what a camera without a gimbal writes."""
     if camera_pitch_deg is not None:
         if tags.flight_yaw_deg is None:
             raise CalibrationError(f"{where}: no heading of the aircraft in its tags: give --prior LAT,LON,ALT,ROLL,PITCH,YAW")

@@ -214,7 +214,6 @@ def _sigmas(text: str) -> list[float]:
 
 
 def _covariance(sigma: str) -> Array:
-    """(6, 6) [m^2, rad^2], of position and of the attitude about the axes of n."""
     horizontal, vertical, tilt, heading = _sigmas(sigma)
     return np.diag(np.array([horizontal, horizontal, vertical, *np.radians([tilt, tilt, heading])]) ** 2)
 

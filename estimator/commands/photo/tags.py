@@ -156,7 +156,6 @@ def _place(gps: Mapping[int, Any], xmp: Mapping[str, str]) -> tuple[float, float
 
 
 def _altitude(gps: Mapping[int, Any], xmp: Mapping[str, str]) -> tuple[float | None, bool]:
-    """Height [m], and whether it is above the ellipsoid rather than the sea."""
     dji, rtk = _of(xmp, "AbsoluteAltitude"), _of(xmp, "RtkFlag") in _RTK
     if dji is not None:
         return dji, rtk

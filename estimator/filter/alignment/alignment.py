@@ -87,7 +87,7 @@ class Alignment:
         return other
 
     def lose(self) -> None:
-        """Too long without an IMU: nothing is left to go on with."""
+        """Too long without an IMU."""
         self.core.hypotheses, self.core.stretch, self.core.is_aligned, self.without_sensor = None, None, False, None
         self.resting, self.waits_since_ns, self.shows_unaligned = None, None, False
 
@@ -100,7 +100,7 @@ class Alignment:
 
     @property
     def members(self) -> list[Hypothesis]:
-        """All filters, also those without the heading sensor."""
+        """All filters."""
         bank, beside = self.bank, self.without_sensor
         members = bank.members if bank is not None else []
         return members if beside is None else members + beside.bank.members
@@ -145,7 +145,7 @@ class Alignment:
         return Decision(Reason.ALIGNING)
 
     def take_prior(self, aid: Aid, z: Measurement) -> Decision:
-        """Use a waiting prior at a position; not fused once begun: its errors repeat."""
+        """Use a waiting prior at a position."""
         if self.core.hypotheses is not None and not (self._seeks_heading or self._has_blurred):
             return Decision(Reason.THINNED, detail="for the alignment alone")
         if aid.t_ns < self.wrong_until_ns.get(aid.topic, NEVER):
@@ -164,7 +164,7 @@ class Alignment:
         self.prior = (core.t_ns, course, "") if course else None
 
     def wait_for_heading(self, aid: Aid, z: Measurement, gyro_b: Array) -> None:
-        """What may be published without a heading: the seeking bank, or at rest another."""
+        """What may be published without a heading."""
         core = self.core
         if core.is_aligned or core.hypotheses is not None or self.still is None:
             self.resting = None
@@ -344,7 +344,7 @@ class Alignment:
         return begun is not None
 
     def check_sensor(self, aid: Aid, z: Measurement, samples: ImuBuffer, gyro_b: Array) -> None:
-        """Keep a bank without the heading sensor until motion judges it."""
+        """A bank without the heading sensor, until motion judges."""
         core = self.core
         beside, config = self.without_sensor, core.config.initialise
         if core.hypotheses is None:

@@ -117,7 +117,7 @@ def start_from_pose(t_ns: int, z: Pose, constants: Array, config: InitialiseConf
 
 
 def start_from_position(t_ns: int, z: Position | Pose, at: Level, constants: Array, config: InitialiseConfig) -> Hypotheses:
-    """Eight levelled filters at a position fix, around the circle."""
+    """Eight levelled filters at a position fix."""
     headings = [2.0 * math.pi * k / _HEADINGS for k in range(_HEADINGS)]
     filters = [_levelled(t_ns, z, at, heading, math.pi / _HEADINGS, constants, config) for heading in headings]
     return Hypotheses([Hypothesis(f, fused_ns=t_ns, run=1, run_ns=t_ns) for f in filters])
@@ -126,7 +126,7 @@ def start_from_position(t_ns: int, z: Position | Pose, at: Level, constants: Arr
 def start_from_attitude(
     t_ns: int, z: Position | Pose, at: Level, prior: Pose, constants: Array, config: InitialiseConfig
 ) -> Hypotheses | None:
-    """One filter at a position fix with an outside attitude; None where gravity contradicts."""
+    """One filter at a position fix with an outside attitude; None: gravity contradicts."""
     levelled = so3.from_euler(at.roll, at.pitch, so3.to_euler(prior.q_nb_wxyz)[2])
     off = so3.quat_log(so3.multiply(levelled, so3.conjugate(prior.q_nb_wxyz)))[:2]
     tilt = prior.noise[:2, :2] + np.eye(2) * at.tilt_sigma**2

@@ -1,1 +1,1 @@
-"""Building footprints from local extracts of public data sets. Begin with `get`. May import models."""
+"""Building footprints from local extracts. Begin with `get`. May import models."""

@@ -35,7 +35,7 @@ class Place(NamedTuple):
 
     @property
     def boxes(self) -> list[tuple[float, float, float, float]]:
-        """West, south, east, north [deg] around the circle: one box, or two at the 180th meridian."""
+        """West, south, east, north [deg]: one box, or two at the 180th meridian."""
         high = 1.1 * self.radius_m / METRES_A_DEGREE
         wide = min(180.0, high / max(math.cos(math.radians(min(89.0, abs(self.lat_deg) + high))), 1e-3))
         south, north = max(-90.0, self.lat_deg - high), min(90.0, self.lat_deg + high)

@@ -1,4 +1,4 @@
-"""Footprints around a place as a landmark map; a landmark per part of a multipolygon, without holes."""
+"""Footprints around a place as a landmark map, without holes."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""GeoJSON, GeoJSON a feature a line, and Overpass JSON (OSM wiki, "Overpass QL", "Relation:multipolygon"), without extras."""
+"""GeoJSON, also a feature a line, and Overpass JSON (OSM wiki, "Relation:multipolygon")."""
 
 import json
 from collections import defaultdict

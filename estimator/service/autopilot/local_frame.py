@@ -46,7 +46,7 @@ class LocalOrigin:
         self.place = None
 
     def pose(self, e: Estimate, geoid_m: float, *, is_px4: bool = False) -> tuple[Vec3, Array] | None:
-        """Position in that frame [m] and q_nb; None where an origin is unknown. geoid_m: geoid above the ellipsoid."""
+        """Position in that frame [m] and q_nb; None: an origin is unknown."""
         origin, place = Origin.of(e.origin), self.place  # another thread may forget it meanwhile
         if place is None or origin is None:
             return None
@@ -57,7 +57,7 @@ class LocalOrigin:
         return (north, east, sea0 - (ellipsoid - geoid_m)), so3.multiply(so3.from_matrix(turn), so3.normalise(e.nav[X.Q]))
 
     def report(self, ours: tuple[float, float, float] | None, geoid_m: float, *, from_ours: bool = False) -> str:
-        """Distance from our origin, for the status; ours: deg, deg, m; from_ours: odometry counts from ours meanwhile."""
+        """Distance from our origin; ours: deg, deg, m."""
         place = self.place
         if place is None:
             return "not known: ODOMETRY " + ("is from ours" if from_ours else "has quality -1")

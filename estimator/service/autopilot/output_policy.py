@@ -72,7 +72,7 @@ class Px4Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class OutputPolicy:
-    """Notes the outputs and answers for the present estimate; one per link, for it keeps what was sent."""
+    """Answers for the present estimate; one per link."""
 
     def __init__(self, config: AutopilotConfig) -> None:
         self._config = config
@@ -169,7 +169,7 @@ def newest(outputs: Sequence[Output]) -> Estimate | None:
 
 
 def is_sound(e: Estimate) -> bool:
-    """Whether messages can hold it: finite, valid variances and rotation, an origin on Earth."""
+    """Whether messages can hold it."""
     lat, lon, alt = e.origin or (0.0, 0.0, 0.0)
     return bool(
         all(np.abs(numbers).max() <= _LARGEST for numbers in (e.nav, e.covariance, e.gyro_b))

@@ -1,4 +1,4 @@
-"""PX4's messages in XCDR1, little endian, fields as in the .msg file; definitions are kept for their hashes."""
+"""PX4's messages in XCDR1, little endian, fields as in the .msg file."""
 
 import math
 import struct

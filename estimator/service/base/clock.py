@@ -72,7 +72,7 @@ class Clock:
 
 @dataclass(slots=True)
 class Offset:
-    """Offset of another clock; quickest_ns: least delay; ahead_ns: None before a message; bound_ns: of its error."""
+    """Offset of another clock; quickest_ns: least delay; bound_ns: of the error."""
 
     quickest_ns: int
     ahead_ns: int | None = None

@@ -35,7 +35,7 @@ class _Line:
 
 
 class Mailbox:
-    """The Inbox of ports.py: any thread puts, the loop gets. Images go straight to log and vision."""
+    """An Inbox; images go straight to log and vision."""
 
     def __init__(self, clock: Clock, log: Log, images: Sequence[str], mounting: ImuMounting) -> None:
         self._clock, self._log, self._images, self._mounting = clock, log, frozenset(images), mounting
@@ -88,7 +88,7 @@ class Mailbox:
         self._bell.put(None)
 
     def report(self) -> dict[str, int]:
-        """For the status. lost_inputs: came faster than handled; dropped: by topic."""
+        """lost_inputs: came faster than handled; dropped: by topic."""
         dropped = {topic: line.dropped for topic, line in sorted(self._lines.items()) if line.dropped}
         by_topic = {f"dropped {topic}": count for topic, count in dropped.items()}
         return {"waiting": len(self), "lost_inputs": sum(dropped.values())} | by_topic

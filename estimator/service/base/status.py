@@ -62,7 +62,7 @@ class Status:
                 self._totals[reason] = self._totals.get(reason, 0) + 1
 
     def works(self, now_ns: int) -> bool:
-        """Estimates come out, or the reason for none is known (no IMU, Health, a refusal)."""
+        """Estimates come out, or the reason for none is known."""
         return now_ns - self._sane_ns <= _SILENT_NS or now_ns - self._imu_ns > _SILENT_NS
 
     def _explains(self, message: Input, outputs: Sequence[Output]) -> bool:

@@ -36,7 +36,7 @@ class FolderError(Exception):
 
 
 class FolderLock:
-    """The folder is ours while we hold the lock of its lock file; a context manager."""
+    """The folder is ours while we hold its lock."""
 
     def __init__(self, folder: Path) -> None:
         self.path, self._fd = folder / "landfix.lock", -1

@@ -24,7 +24,7 @@ _BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
 
 
 class SavedState(msgspec.Struct, frozen=True):
-    """Content of the file; config: checksum of the configuration, which must be equal."""
+    """config: checksum of the configuration."""
 
     format: int
     boot: str
@@ -92,7 +92,7 @@ def usable(saved: SavedState | None, now_ns: int, config: str, oldest_s: float) 
 
 
 class StateKeeper:
-    """Writes the newest state every half second, on an own thread; problem: why it could not."""
+    """Writes the newest state every half second; problem: why not."""
 
     def __init__(self, path: Path, clock: Clock, config: str) -> None:
         self._path, self._clock, self._config, self._boot = path, clock, config, boot_id()

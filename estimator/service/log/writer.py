@@ -74,7 +74,7 @@ class _Item(NamedTuple):
 
 
 class LogWriter:
-    """The Log of ports.py. name(n): path of file n; attachments, metadata: in every file."""
+    """A Log. name(n): path of file n; attachments, metadata: in every file."""
 
     def __init__(
         self,

@@ -96,7 +96,7 @@ def stamp_ns(message: Any) -> int:
 
 
 def imu(message: Any, t_ns: int, topic: str) -> ImuSample | None:
-    """HIGHRES_IMU (SI), ArduPilot's RAW_IMU and SCALED_IMU, 2, 3 (mG, mrad/s); None: other instance, incomplete."""
+    """HIGHRES_IMU (SI), ArduPilot's RAW_IMU, SCALED_IMU, 2, 3 (mG, mrad/s); None: incomplete."""
     gyro = message.xgyro, message.ygyro, message.zgyro
     accel = message.xacc, message.yacc, message.zacc
     if "id" in message.fieldnames and message.id != 0:  # SCALED_IMU has none: its id is that of the message
@@ -124,7 +124,7 @@ def receiver_state(message: Any) -> ReceiverState:
 
 
 def gnss_fix(message: Any, t_ns: int, geoid_m: float, topic: str, state: ReceiverState = ReceiverState.UNKNOWN) -> GnssFix:
-    """GPS_RAW_INT, GPS2_RAW; sea height and geoid_m where alt_ellipsoid is 0 or equals alt."""
+    """GPS_RAW_INT, GPS2_RAW; geoid_m where alt_ellipsoid is 0 or equals alt."""
     has_ellipsoid = message.alt_ellipsoid and abs(message.alt_ellipsoid - message.alt) > _SAME_HEIGHT_MM
     height_m = 1e-3 * message.alt_ellipsoid if has_ellipsoid else 1e-3 * message.alt + geoid_m
     status = int(navsat_status(np.array(message.fix_type)))
@@ -255,14 +255,14 @@ def _field(message: Any) -> tuple[float, ...] | None:
 
 
 def has_field(message: Any) -> bool | None:
-    """Whether the magnetometer measures anything at all; None: the IMU's message does not say."""
+    """Whether the magnetometer measures anything; None: unknown."""
     if message.get_type() == "HIGHRES_IMU" and (message.id != 0 or message.fields_updated & _FIELD != _FIELD):
         return None
     return any((message.xmag, message.ymag, message.zmag))
 
 
 def _coarse_field(message: Any) -> tuple[float, ...] | None:
-    """Of RAW_IMU (ArduPilot) and SCALED_IMU, milligauss; all zero where there is no magnetometer."""
+    """Milligauss; all zero: no magnetometer."""
     field = message.xmag, message.ymag, message.zmag
     return tuple(1e-3 * _GAUSS_T * m for m in field) if any(field) else None
 
@@ -284,7 +284,7 @@ def _indicated(hectopascal: float) -> tuple[float, ...]:
 
 
 def _airspeed(message: Any) -> tuple[float, ...] | None:
-    """HIGHRES_IMU of PX4; ArduPilot sends the static pressure's difference to the ground there."""
+    """PX4's; ArduPilot sends another pressure there."""
     return _indicated(message.diff_pressure) if message.id == 0 and message.fields_updated & _DIFF_PRESSURE else None
 
 

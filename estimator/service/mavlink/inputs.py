@@ -97,7 +97,7 @@ class Inputs:
         self._began_ns, self._imu_us, self._denied = None, self._fastest_us, False
 
     def deny(self) -> None:
-        """Note a denied rate; the autopilot does not name the message."""
+        """Note a denied rate."""
         self._denied = True
 
     def requests(self, now_ns: int, autopilot: int | None) -> Iterator[tuple[int, int]]:
@@ -198,7 +198,7 @@ class Inputs:
         return kind == "HIGHRES_IMU" or (_IMUS[kind] == _coarse_of(autopilot) and self._is_gone(_IMU, now_ns))
 
     def _slow_down(self, now_ns: int) -> None:
-        """Request the IMU less often: ArduPilot denies above 80 % of its loop rate."""
+        """ArduPilot denies above 80 % of its loop rate."""
         asked_ns = self._asked.get(_IMU, now_ns)
         if self._denied and now_ns - asked_ns > _MISSING_NS and self._heard.get(_IMU, _NEVER) < asked_ns:
             self._imu_us, self._denied = next((us for us in _SLOWER_US if us > self._imu_us), self._imu_us), False
@@ -213,5 +213,5 @@ class Inputs:
 
 
 def _coarse_of(autopilot: int | None) -> int:
-    """RAW_IMU is in mG and mrad/s with ArduPilot only; others' is in counts of the chip."""
+    """Others' RAW_IMU is in counts of the chip."""
     return _RAW if autopilot == codec.ARDUPILOT else _SCALED

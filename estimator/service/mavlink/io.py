@@ -138,7 +138,7 @@ class SerialEndpoint:
         return Heard(data, None)
 
     def send(self, data: bytes, receiver: Any) -> bool:  # noqa: ARG002  (there is only one)
-        """Send all or nothing, apart from the rest of a frame begun."""
+        """Send all or nothing, but the rest of a frame begun."""
         fd = self._fd
         if fd is None:
             return False

@@ -65,7 +65,7 @@ class MavlinkLink:
         say: Callable[[str], None] = lambda _: None,
         level: tuple[float, float] | None = None,
     ) -> None:
-        """say: prints a line, never waits; level: see FlowRange. Raises ConfigError for odometry_from itself or the autopilot."""
+        """say: prints a line; level: see FlowRange. Raises ConfigError."""
         if clash := set(config.odometry_from) & {config.component, *config.listen_to}:
             raise ConfigError(f"mavlink.odometry_from = {min(clash)}: is the autopilot or landfix itself: name another component")
         self._config, self._clock, self._policy, self._geoid_m = config, clock, policy, geoid_m
@@ -349,6 +349,6 @@ def _request(system: int, number: int, period_us: int) -> Any:
 
 
 def _request_once(system: int, number: int) -> Any:
-    """REQUEST_MESSAGE: PX4 sends its origin when it changes, whatever the interval."""
+    """PX4 sends its origin when it changes only."""
     command, autopilot = mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAV_COMP_ID_AUTOPILOT1
     return mavlink.MAVLink_command_long_message(system, autopilot, command, 0, number, 0, 0, 0, 0, 0, 0)

@@ -25,7 +25,7 @@ mavlink.mavlink_map.setdefault(GNSS_INTEGRITY, development.MAVLink_gnss_integrit
 
 
 class Wire(mavlink.MAVLink):  # type: ignore[misc]
-    """Frames <-> messages, one thread; listen_to: component ids; wanted: message ids; key: signing, refuses unsigned."""
+    """Frames <-> messages; listen_to: component ids; wanted: message ids; key: refuses unsigned."""
 
     buf: bytearray
     buf_index: int
@@ -78,7 +78,7 @@ class Wire(mavlink.MAVLink):  # type: ignore[misc]
             message = self.parse_char(b"")
 
     def _is_false_start(self, message: Any) -> bool:
-        """A wrong checksum, or an unchecked frame that neither a frame nor the end follows."""
+        """A wrong checksum, or an unchecked frame that no frame follows."""
         if isinstance(message, mavlink.MAVLink_bad_data):
             return message.reason not in _NO_FRAME
         return isinstance(message, mavlink.MAVLink_unknown) and self.buf_len() > 0 and self.buf[self.buf_index] not in _STARTS
@@ -112,7 +112,7 @@ class Wire(mavlink.MAVLink):  # type: ignore[misc]
             raise mavlink.MAVError(f"damaged frame: {error}") from None
 
     def check_signature(self, frame: bytearray, system: int, component: int) -> bool:
-        """Verify the signature before its time stamp: otherwise anybody could block a stream."""
+        """Verify the signature before its time stamp."""
         if not hmac.compare_digest(
             sha256(self.signing.secret_key + frame[:-_SIGNATURE]).digest()[:_SIGNATURE], frame[-_SIGNATURE:]
         ):

@@ -1,4 +1,4 @@
-"""Run each vision path once on drawn images: no image of the flight waits for a kernel."""
+"""Run each vision path once on drawn images."""
 
 from collections.abc import Sequence
 from itertools import product
@@ -34,7 +34,7 @@ _GROUND, _GRAIN = 110.0, 8.0
 
 
 def warm_up(priors_m: Sequence[float] = PRIORS_M) -> None:
-    """Pairs and single images, grey and coloured, raw and JPEG, narrow to hopeless priors; the overlay."""
+    """All kinds of images and priors; the overlay."""
     rig, p_n = make_rig(), np.array(_PLACE)
     marks = [
         Landmark.of(str(k), outline, height_m=4.0, colour_bgr=bgr, sigma_m=0.1, height_sigma_m=0.1, outline_sigma_m=0.05)

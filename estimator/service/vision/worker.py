@@ -108,7 +108,7 @@ def _give_way() -> None:
 
 
 class VisionWorker:
-    """put() takes images from any thread; tell(message) reports requests and answers."""
+    """put() from any thread; tell(message): requests and answers."""
 
     _measurement = LANDMARK_FIX_TOPIC  # what an answer is to give
 
@@ -272,7 +272,7 @@ class VisionWorker:
         raise MalformedError(f"a malformed answer: {type(answer).__name__}")
 
     def _exchange(self, question: Asked | None, patience_s: float) -> Said | None:
-        """The answer; None: dead, or killed for its time. A compiled kernel restarts the time, up to a limit."""
+        """None: dead, or killed. A compiled kernel restarts the time, up to a limit."""
         assert self._process is not None
         assert self._pipe is not None
         answered, end_s = self._killed_in(patience_s), time.monotonic() + _ALL_COMPILED_S

@@ -86,7 +86,7 @@ class _Sender:
 
 
 class ZenohScreen:
-    """A Screen of ports.py: one topic, announced at once, sent by its own thread."""
+    """A Screen: one topic, sent by its own thread."""
 
     def __init__(self, session: zenoh.Session, config: ZenohConfig, clock: Clock, topic: str, schema: str) -> None:
         self._sender, self._clock = _Sender(session, config, topic, schema), clock
@@ -119,7 +119,7 @@ class ZenohBus:
         self._senders = {topic: _Sender(self.session, config, topic, schema) for topic, schema in OUTPUTS.items()}
 
     def watch_domains(self, topics: Sequence[str], say: Callable[[str], None]) -> None:
-        """Report once each foreign ROS domain that publishes one of the topics."""
+        """Report once each foreign domain that publishes a topic."""
         if not self._config.rmw:
             return
         seen = {-1, ours := self._config.domain}
@@ -216,7 +216,7 @@ class ZenohBus:
         return receive
 
     def _subscribed(self, topic: str, schema: str) -> list[str]:
-        """Keys of an input; a plain key has no type, so images on it are taken as compressed."""
+        """Images on a plain key are taken as compressed."""
         plain = self._config.ros2dds and schema != schemas.IMAGE
         return [keys.rmw_key(self._config.domain, topic, schema)] * self._config.rmw + [keys.plain_key(topic)] * plain
 

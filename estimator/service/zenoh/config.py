@@ -1,4 +1,4 @@
-"""The Zenoh session, closed by default: loopback only, no scouting; beyond, peers must authenticate."""
+"""The Zenoh session: loopback only by default; beyond, peers must authenticate."""
 
 import ipaddress
 import json
@@ -64,7 +64,7 @@ class ZenohConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def session_config(config: ZenohConfig, folder: Path, inputs: Sequence[str], outputs: Sequence[str]) -> "zenoh.Config":
-    """The session's configuration; inputs, outputs: key expressions, for access control. Raises ConfigError."""
+    """The session's configuration; inputs, outputs: key expressions. Raises ConfigError."""
     check(config)
     _check_keys(inputs)
     settings: dict[str, Any] = {
@@ -164,7 +164,7 @@ def _check_endpoint(name: str, text: str) -> None:
 
 
 def _check_protected(name: str, text: str, *, by_password: bool, by_certificate: bool) -> None:
-    """Check an endpoint beyond loopback; a multicast group has no handshake, so no authentication."""
+    """A multicast group has no authentication."""
     endpoint = Endpoint.of(text)
     if by_password and not _is_multicast(endpoint.host):
         return

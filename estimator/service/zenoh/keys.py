@@ -56,12 +56,12 @@ def publisher_tokens(topic: str) -> str:
 
 
 def domain_of(token: str) -> int:
-    """Domain of a publisher's token; -1: invalid (any peer can declare one)."""
+    """Domain of a publisher's token; -1: invalid."""
     domain = token.split("/")[1]
     return int(domain) if domain.isdecimal() and len(domain) <= _DOMAIN_DIGITS else -1
 
 
 def bridge_token(zid: str, topic: str, schema: str, type_hash: str) -> str:
-    """Token for the bridge to announce a publisher before anyone subscribes."""
+    """Token for the bridge to announce a publisher."""
     name, kind = topic.strip("/").replace("/", "§"), schema.replace("/", "§")
     return f"@/{zid}/@ros2_lv/MP/{name}/{kind}/:1:0:0,10:typehash={type_hash};"

@@ -152,7 +152,7 @@ class Px4Link:
         return True
 
     def _hear(self, sample: zenoh.Sample) -> None:
-        """PX4's time from its messages; the attachment is stamped later, so it is quicker."""
+        """The attachment is stamped later than the message."""
         arrived_ns = self._clock.now_ns()
         attachment, payload = sample.attachment, sample.payload.to_bytes()
         if attachment is not None and len(attachment) == _SENT.size:

@@ -57,22 +57,22 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
 
     @property
     def is_reported(self) -> bool:
-        """Whether its decision is one to report."""
+        """Whether its decision is reported."""
         return True
 
     @property
     def resembles(self) -> bool:
-        """A false reading was searched for at the expected position: a good fit proves little."""
+        """Searched for at the expected position: a good fit proves little."""
         return self.kind == "pose"
 
     @property
     def witness(self) -> str:
-        """Topic of its receiver's positions, no independent source, or its own."""
+        """Topic of its receiver's positions, or its own."""
         return self.receiver or self.topic
 
 
 class SensorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Section of an optional sensor, off until its key in [inputs] names a topic."""
+    """Section of an optional sensor, off until [inputs] names a topic."""
 
     def aid(self, reading: Reading) -> "Aid | Refusal":
         """A finite reading as a measurement, or its refusal."""
@@ -120,7 +120,7 @@ def _log_uniform(share: float, half_widths: tuple[float, ...]) -> float:
 
 
 def order(t_ns: int, kind: str, topic: str, *content: float | bytes) -> tuple[int, str, str, bytes]:
-    """Place among all measurements: time, kind, topic, content; arrival plays no part."""
+    """Place among all measurements: time, kind, topic, content."""
     raw = b"".join([c if isinstance(c, bytes) else _FLOAT.pack(c) for c in content])
     return t_ns, kind, topic, blake2b(raw, digest_size=8).digest()
 

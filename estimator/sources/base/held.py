@@ -56,7 +56,7 @@ class HeldImu:
         self._newest_ns = -(2**62)
 
     def note(self, sample: ImuSample) -> str:
-        """Take the next sample; which values are held, or "". A late one is used."""
+        """Which values of the next sample are held, or ""."""
         u = sample.gyro_b + sample.accel_b
         if sample.t_ns <= self._newest_ns:
             return ""

@@ -75,7 +75,7 @@ class SourceState(msgspec.Struct, frozen=True):
         return Phase.STOPPED if t_ns > self.silent_ns else self.phase
 
     def held(self, rules: Rules, t_ns: int, *, alone: bool = True) -> "SourceState":
-        """A reading failed: one that passes soon after does so by chance."""
+        """A reading failed."""
         hold_ns, since_ns = round(rules.hold_s * 1e9), max(self.failed_ns, 0) or t_ns
         is_refuted = self.is_refuted or (not alone and 0 < hold_ns < t_ns - since_ns)
         return replace(self, phase=Phase.STOPPED, held_until_ns=t_ns + hold_ns, failed_ns=since_ns, is_refuted=is_refuted)

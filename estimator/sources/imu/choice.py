@@ -52,7 +52,7 @@ class TakeOver(NamedTuple):
 
 
 class ImuAid(Aid, frozen=True, eq=False, kw_only=True):
-    """The change of IMU among the measurements; factor: on the first one's noise."""
+    """The change of IMU; factor: on the first one's noise."""
 
     shift: Array
     sigma: Array
@@ -104,7 +104,7 @@ class Choice:
         return "standby" if self._is_healthy(topic, t_ns) else "failed"
 
     def note(self, sample: ImuSample, *, is_refuted: bool = False) -> TakeOver | None:
-        """Take a usable sample of any IMU; the change where its leader failed.
+        """Take a usable sample; the change where the leader failed.
 
         is_refuted: positions contradict the estimate.
         """

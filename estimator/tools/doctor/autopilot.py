@@ -1,4 +1,4 @@
-"""Check the autopilot's parameters over its link, which `landfix run` must not have open."""
+"""Check the autopilot's parameters over its link."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -138,7 +138,7 @@ def _source_sets(p: _Parameters, config: Config) -> Iterator[Check]:
 
 
 def _imu(p: _Parameters) -> Iterator[Check]:
-    """The sent IMU is low-passed and stamped late: fixes seem early by the gyroscope's delay."""
+    """A low-passed IMU makes fixes seem early."""
     for name in ("INS_GYRO_FILTER", "INS_ACCEL_FILTER"):
         hz = p.get(name)
         delay_ms = _LOWPASS_MS / hz if hz > 0 else 0.0

@@ -203,7 +203,7 @@ def _try_to_claim(folder: Path) -> None:
 
 
 def package(home: Path, owners: Sequence[int] | None = None) -> Check:
-    """The installed code must not be writable by others; owners: permitted user ids, None: root and this user."""
+    """The installed code must not be writable by others; owners: user ids, None: root and this user."""
     trusted = set(owners if owners is not None else (0, os.getuid()))
     for path in (home, *sorted(home.rglob("*.py"))):
         seen = path.stat()

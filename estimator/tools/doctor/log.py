@@ -230,7 +230,7 @@ def _gravity(name: str, length: float) -> Check:
 
 
 def _turn_rate(name: str, rate: Array) -> Check:
-    """No vehicle but a spinning one turns at 3 rad/s (170 deg/s) on average."""
+    """Only spinning vehicles turn at 3 rad/s on average."""
     fastest, mean, beyond = float(rate.max()), float(rate.mean()), int(np.count_nonzero(rate > _FASTEST_RAD_S))
     wrong = beyond > _FEW_SPIKES * len(rate) or mean > _SWIFT_RAD_S
     found = f"{mean:.2f} rad/s on average, up to {fastest:.1f} rad/s" + (
@@ -243,7 +243,7 @@ def _turn_rate(name: str, rate: Array) -> Check:
 
 
 def _halves(name: str, samples: Array) -> list[Check]:
-    """Some drivers send gyroscope and accelerometer in messages of their own, the other zero."""
+    """Gyroscope and accelerometer in separate messages, the other zero."""
     empty = [float(np.mean(~samples[:, part].any(axis=1))) for part in (slice(0, 3), slice(3, 6))]
     if max(empty) < _HALF_EMPTY:
         return []

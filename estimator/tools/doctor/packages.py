@@ -1,4 +1,4 @@
-"""Packages that hide our six top-level names, or are missing; standard library only."""
+"""Packages that hide ours, or are missing; standard library only."""
 
 import importlib.util
 from importlib import metadata

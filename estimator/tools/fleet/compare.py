@@ -64,7 +64,7 @@ class Broken(msgspec.Struct, frozen=True):
 
 
 class Comparison(msgspec.Struct, frozen=True):
-    """changes: flights with both rows, the worst first; only: with one row; differing: other inputs; by: column of the groups."""
+    """changes: flights with both rows, worst first; only: with one row; differing: other inputs."""
 
     labels: tuple[str, str]
     pairs: int

@@ -15,7 +15,7 @@ from logs.store.reader import LogError
 def reports_of(
     changes: Sequence[Change], results: str, folder: Path, progress: Callable[[float], None]
 ) -> dict[str, list[tuple[str, str]]]:
-    """Log -> label and file (relative) of reports this program can make; other programs' rows are left out."""
+    """Log -> label and file of reports; other programs' rows are left out."""
     folder.mkdir(exist_ok=True)
     made: dict[str, list[tuple[str, str]]] = {}
     for k, change in enumerate(changes):

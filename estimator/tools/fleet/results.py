@@ -57,7 +57,7 @@ class Results:
             self._write(_table(rows))
 
     def compact(self) -> None:
-        """Merge small files into files of _ROWS_A_FILE rows at most, by log, in bounded memory."""
+        """Merge small files into files of _ROWS_A_FILE rows."""
         group: list[tuple[str, pa.Table]] = []
         for file in [*self._files(), ""]:
             table = self._read(file) if file else None

@@ -1,4 +1,4 @@
-"""All flights of a list through the estimator; those with a row are skipped."""
+"""All flights of a list; those with a row are skipped."""
 
 import time
 from collections.abc import Callable, Sequence

@@ -39,7 +39,7 @@ def look_alikes(the_map: LandmarkMap, radius_m: float, alike: float) -> tuple[ND
 
 
 def marks(the_map: LandmarkMap, pairs: NDArray[np.intp], distances: Array) -> Alike:
-    """Per landmark: number of look-alikes, the nearest, and the nearest shift that repeats its surroundings."""
+    """Per landmark: number of look-alikes, the nearest, nearest repeating shift."""
     count = np.bincount(pairs.ravel(), minlength=len(the_map))
     nearest = np.full(len(the_map), np.inf)
     np.minimum.at(nearest, pairs.ravel(), np.repeat(distances, 2))
@@ -47,7 +47,7 @@ def marks(the_map: LandmarkMap, pairs: NDArray[np.intp], distances: Array) -> Al
 
 
 def _repeats(places: Array, pairs: NDArray[np.intp], distances: Array) -> Array:
-    """(N,) m, inf for none: shifts that map a landmark and _SHARE of two or more around it to look-alikes."""
+    """(N,) m, inf: none."""
     repeats = np.full(len(places), np.inf)
     if not len(pairs):
         return repeats

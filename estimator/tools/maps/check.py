@@ -30,7 +30,7 @@ class LookAlike(msgspec.Struct, frozen=True):
 
 
 class Repeat(msgspec.Struct, frozen=True):
-    """A landmark, and the nearest shift that maps most of its surroundings to look-alikes."""
+    """A landmark, and its nearest repeating shift."""
 
     id: str
     shift_m: float
@@ -59,7 +59,7 @@ class MapCheck(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def check(the_map: LandmarkMap, radius_m: float, alike: float) -> MapCheck:
-    """All checks; look_alikes: pairs within radius_m of similarity >= `alike`, likest first."""
+    """All checks; look_alikes: within radius_m, similarity >= `alike`."""
     pairs, distances, similarities = look_alikes(the_map, radius_m, alike)
     marked = marks(the_map, pairs, distances)
     order = np.lexsort((distances, -similarities))

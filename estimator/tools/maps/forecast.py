@@ -68,7 +68,7 @@ class Stretch(msgspec.Struct, frozen=True):
 
 
 class Forecast(msgspec.Struct, frozen=True):
-    """fit: radius below the limit everywhere; fixes: fewest of the draws; longest_without_fix_s: longest."""
+    """fit: radius below the limit everywhere; fixes: fewest of the draws."""
 
     fit: bool
     limit_m: float

@@ -31,7 +31,7 @@ class _Choice(NamedTuple):
 
 
 def illustrations(log: Path, config: Path | None = None, rig: Path | None = None, map_file: Path | None = None) -> Illustrate:
-    """As logs.report.write.write requires; without map files nothing is drawn in."""
+    """As logs.report.write.write requires."""
 
     def illustrate(collected: Collected, gathered: Gathered) -> Illustrations:
         chosen = _choose(collected, gathered)

@@ -97,7 +97,7 @@ def read(path: Path, progress: Callable[[float], None] = lambda _: None) -> Flig
 
 
 def views(flight: Flight, topic: str, time_offset_s: float) -> list[View | None]:
-    """Estimate at each image's exposure, or None; without a request: the stamp and last offset."""
+    """Estimate at each image's exposure, or None."""
     offset_ns, exposures = round(time_offset_s * 1e9), []
     for stamp_ns in flight.stamps_ns[topic]:
         exposures.append(flight.exposures_ns.get(ImageName(topic, stamp_ns), stamp_ns + offset_ns))

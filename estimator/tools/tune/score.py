@@ -91,7 +91,7 @@ def score(job: Job) -> list[Window]:
 
 
 class _Stretches(NamedTuple):
-    """Equal stretches from begin_ns; every other one is a window, in two folds."""
+    """Every other stretch is a window, in two folds."""
 
     begin_ns: int
     period_ns: int

@@ -53,7 +53,7 @@ class Gain(msgspec.Struct, frozen=True):
 
 
 class TunedKey(msgspec.Struct, frozen=True):
-    """A parameter before and after; half, double: gain of score there; determined: loss on both sides beyond chance."""
+    """half, double: gain of score there; determined: loss on both sides beyond chance."""
 
     name: str
     before: float

@@ -129,7 +129,7 @@ class Bag:
             reader.close()
 
     def _converted(self, path: Path, messages: Iterator[tuple[str, str, int, bytes, float]]) -> Iterator[Record]:
-        """ROS 1 bytes as CDR; a type that only shares a ROS 2 name is refused."""
+        """A type that only shares a ROS 2 name is refused."""
         broken: set[str] = set()
         for topic, schema, t_ns, raw, share in messages:
             self._share = share
