@@ -214,7 +214,7 @@ class Config(SourcesConfig, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 def load(path: Path | None) -> Config:
-    """The configuration of a file (None: defaults), with its landmarks' origin. Raises ConfigError."""
+    """The configuration of a file (None: defaults) with origin. Raises ConfigError."""
     return with_origin(read(path), path.parent) if path else Config()
 
 
@@ -231,7 +231,7 @@ def read(path: Path) -> Config:
 
 
 def with_origin(config: Config, folder: Path) -> Config:
-    """The configuration with its map's origin; files relative to `folder`. Raises ConfigError."""
+    """The configuration with its map's origin. Raises ConfigError."""
     landmarks, picture = config.map.landmarks, config.map_image(folder)
     if config.map.origin is not None or not (landmarks or picture):
         return config

@@ -30,7 +30,7 @@ class ConfigError(ValueError):
 
 
 class Key(NamedTuple):
-    """A row of the table of keys; section, name as in the file, default as TOML ("-": none)."""
+    """A row of the table of keys; default as TOML ("-": none)."""
 
     section: str
     name: str

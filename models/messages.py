@@ -212,7 +212,7 @@ class AttitudePrior(msgspec.Struct, frozen=True, eq=False):
 
 
 class Tick(msgspec.Struct, frozen=True, eq=False):
-    """The clock of Fusion: "it is now t_ns", also when the IMU is silent."""
+    """The clock of Fusion."""
 
     t_ns: int
     arrived_ns: int
@@ -220,7 +220,7 @@ class Tick(msgspec.Struct, frozen=True, eq=False):
 
 
 class Checkpoint(msgspec.Struct, frozen=True, eq=False):
-    """State of an earlier run, the first message or refused; fields as Estimate, last_gnss as Health."""
+    """State of an earlier run; fields as Estimate, last_gnss as Health."""
 
     t_ns: int
     arrived_ns: int
@@ -317,7 +317,7 @@ class AidStatus(msgspec.Struct, frozen=True, eq=False):
 class Estimate(msgspec.Struct, frozen=True, eq=False):
     """State with everything of t <= t_ns that has arrived.
 
-    nav: (16,) packed NavState (X); covariance: (15, 15) (E); gyro_b: rate less bias, rad/s; reset_counter: jumps.
+    nav (16,): packed NavState (X); covariance (15, 15) (E); gyro_b: rate less bias, rad/s.
     """
 
     t_ns: int

@@ -42,7 +42,7 @@ _NEW_VIEW = 0.25  # of what an image shows, by its length: by so much another on
 
 
 class RecogniserConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Of each recogniser, and how long a likely position waits to be confirmed."""
+    """Of each recogniser."""
 
     pipeline: PipelineConfig = PipelineConfig()
     registration: RegistrationConfig = RegistrationConfig()
@@ -55,7 +55,7 @@ class RecogniserConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, slots=True)
 class MapImage:
-    """A georeferenced image and its keypoints, found once; learned: models that match where those do not."""
+    """A georeferenced image and its keypoints, found once."""
 
     image: GroundImage
     features: FeatureMap

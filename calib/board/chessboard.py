@@ -95,7 +95,7 @@ def grey(image: Image) -> Grey:
 
 
 def find(image: Image, board: Board, name: str = "") -> View | Why:
-    """The view of a board in an image, or why there is none."""
+    """The view of a board, or why there is none."""
     grey_image = grey(image)
     height, width = grey_image.shape
     if board.marker_m > 0.0:
@@ -126,7 +126,7 @@ def size_seen(image: Image, board: Board) -> tuple[int, int] | Why | None:
 
 
 def size_around(image: Image, board: Board) -> tuple[int, int] | None:
-    """Inner corners of a larger chessboard around the found one; None: none."""
+    """Inner corners of a larger chessboard around; None: none."""
     grey_image, size = grey(image), board.size
     larger: tuple[int, int] | None = size
     while larger is not None and board.marker_m == 0.0:

@@ -27,7 +27,7 @@ _LIGHT: Final = (0.2, 5.0)  # of its mean on the board: beyond, away from the bo
 
 
 def refined(image: Grey, corners: Array, size: Size) -> Array:
-    """Sub-pixel corners; one off the pattern is refined again from there."""
+    """Sub-pixel corners."""
     even = (image / _light(image, corners, size)).astype(np.float32)
     smooth = np.asarray(cv2.GaussianBlur(even, (0, 0), _SMOOTHING_PX), dtype=np.float32)
     windows = _windows(image, corners, _FIRST_WINDOW * spacing(corners, size))

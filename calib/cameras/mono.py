@@ -22,7 +22,7 @@ _FOLDS: Final = 4
 
 
 class Lens(StrEnum):
-    """How a lens is modelled, by the number of its coefficients."""
+    """Lens model by number of coefficients."""
 
     TWO = "2"  # k1 k2 (thesis eq. 3.29-3.31)
     FOUR = "4"  # k1 k2 p1 p2
@@ -49,7 +49,7 @@ class Dropped:
 
 
 class HeldOut(NamedTuple):
-    """Held-out views: rms [px] (nan: none); beyond: share whose corners the lens model folds."""
+    """rms [px] (nan: none); beyond: share whose corners the lens model folds."""
 
     rms: float
     beyond: float
@@ -125,7 +125,7 @@ def _zhang(x_o: list[Array], px: list[Array], size: tuple[int, int], lens: Lens)
 
 
 def without_outliers(problem: Problem, names: Sequence[str]) -> tuple[Solution, list[int], list[Dropped]]:
-    """Adjusted without outlier views, the worst removed first."""
+    """Adjusted without outlier views."""
     kept, dropped = list(range(len(problem.views))), list[Dropped]()
     while True:
         solution = adjust(problem.only(kept))
@@ -142,7 +142,7 @@ def without_outliers(problem: Problem, names: Sequence[str]) -> tuple[Solution, 
 
 
 def cross_validate(solution: Solution) -> tuple[HeldOut, Array]:
-    """Fit of held-out views over F folds, change of fx fy cx cy in sigma / sqrt(F - 1)."""
+    """Fit of held-out views, change of fx fy cx cy in sigma / sqrt(F - 1)."""
     problem, views = solution.problem, len(solution.problem.views)
     folds = min(_FOLDS, views)
     sigma = np.sqrt(np.diagonal(solution.covariance)[:4]) / np.sqrt(max(folds - 1, 1))
@@ -165,7 +165,7 @@ def _rms_or_nan(problem: Problem) -> float:
 
 
 def predicted_rms(camera: CameraModel, view: View, board: Board) -> float:
-    """RMS of a view, pose alone adjusted [px]; nan as above."""
+    """RMS of a view, pose alone adjusted [px]."""
     seen = Seen(board.points[view.ids], view.px)
     if np.isnan(camera.undistort(view.px)).any():
         return float("nan")
@@ -173,7 +173,7 @@ def predicted_rms(camera: CameraModel, view: View, board: Board) -> float:
 
 
 def board_pose(camera: CameraModel, seen: Seen) -> Pose:
-    """Board pose x_c = R @ x_o + t by the plane's homography (IPPE), unrefined."""
+    """x_c = R @ x_o + t by homography (IPPE), unrefined."""
     plane = camera.undistort(seen.px).reshape(-1, 1, 2)
     _, rvec, tvec = cv2.solvePnP(seen.x_o, plane, np.eye(3), np.zeros(4), flags=cv2.SOLVEPNP_IPPE)
     return Pose.of_vectors(rvec, tvec)

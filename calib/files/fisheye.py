@@ -16,7 +16,7 @@ _WORST_PX = 0.2  # by which the rational model may differ
 
 
 def rational(fx: float, fy: float, cx: float, cy: float, k: Array, size: tuple[int, int]) -> CameraModel:
-    """The rational camera equal to an equidistant one in this image size. Raises CalibrationError."""
+    """The rational camera equal to an equidistant one. Raises CalibrationError."""
     corners = np.array([[0.0, 0.0], [size[0], 0.0], [0.0, size[1]], [size[0], size[1]]]) - 0.5
     r_corner = float(np.linalg.norm((corners - (cx, cy)) / (fx, fy), axis=1).max())
     theta = np.linspace(0.0, _WIDEST, 2000)[1:]

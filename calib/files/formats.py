@@ -62,7 +62,7 @@ def load_rig(path: str | Path) -> StereoRig:
 
 
 def load_cameras(path: str | Path, mount: BodyPose | None = None) -> StereoRig:
-    """A rig, or one camera on the body (body_from_camera); mount replaces it. Raises CalibrationError."""
+    """A rig, or one camera on the body; mount replaces body_from_camera. Raises CalibrationError."""
     path = Path(path)
     text = _read(path)
     try:

@@ -1,4 +1,4 @@
-"""YAML text to plain values, and numbers that all YAML readers parse."""
+"""YAML to plain values, and back."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -26,7 +26,7 @@ def parse(text: str, where: str) -> dict[str, Any]:
 
 
 def number(x: float) -> str:
-    """Shortest float64 text, with a point before an exponent (YAML 1.1)."""
+    """Shortest float64 text, for YAML 1.1."""
     text = repr(float(x))
     return text.replace("e", ".0e") if "e" in text and "." not in text else text
 

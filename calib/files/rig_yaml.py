@@ -90,7 +90,7 @@ def read_camera(value: dict[str, Any], where: str) -> CameraModel:
 
 
 def read_mount(value: dict[str, Any], where: str) -> StereoRig | None:
-    """The camera of a parsed file on its body; None without a mount."""
+    """The camera of a parsed file on its body, or None."""
     _check_version(value, where)
     file = _convert(value, _CameraFile, where)
     bc = file.body_from_camera

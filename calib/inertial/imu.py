@@ -66,7 +66,7 @@ class SixPosition:
 
 
 def rests(t_ns: NDArray[np.int64], gyro: Array, accel: Array) -> list[slice]:
-    """Stretches of rest longer than 2 s; gyro [rad/s], accel [m/s^2] (N, 3)."""
+    """Rests longer than 2 s; gyro [rad/s], accel [m/s^2] (N, 3)."""
     rate = _rate(t_ns)
     n = max(int(_WINDOW_S * rate), 3)
     windows = len(t_ns) // n
@@ -140,7 +140,7 @@ def six_position(t_ns: NDArray[np.int64], gyro: Array, accel: Array, gravity: fl
 
 
 def check(t_ns: NDArray[np.int64], gyro: Array, accel: Array) -> None:
-    """Refuse short, non-finite, or wrong-unit recordings. Raises CalibrationError."""
+    """Raises CalibrationError: short, non-finite, wrong unit."""
     if len(t_ns) < 100:
         raise CalibrationError(f"{len(t_ns)} IMU samples are no recording")
     if np.any(np.diff(t_ns) <= 0):

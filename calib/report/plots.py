@@ -30,7 +30,7 @@ def mono_figure(result: Mono) -> Figure:
 
 
 def stereo_figure(result: Stereo) -> Figure:
-    """Coverage, residual vectors, pair residuals, rectified row errors."""
+    """Coverage, residuals, rectified row errors."""
     figure = Figure(figsize=(12.0, 12.6), layout="constrained")
     axes = figure.subplots(3, 2)
     rms = []
@@ -97,7 +97,7 @@ def draw_views(axes: Axes, names: Sequence[Sequence[str]], rms: Sequence[Sequenc
 
 
 def draw_scatter(axes: Axes, r: Array) -> None:
-    """All residuals about zero; a shape other than round is model error."""
+    """All residuals about zero."""
     limit = 1.1 * float(np.abs(r).max())
     axes.plot(*r.T, ".", color=BLUE, markersize=2.5)
     axes.axhline(0.0, color=GREY, linewidth=0.6)

@@ -29,7 +29,7 @@ class Grade(IntEnum):
 
 
 class Figure(msgspec.Struct, frozen=True):
-    """A figure: good up to `good`, usable up to `usable`; advice: remedy."""
+    """Good up to `good`, usable up to `usable`."""
 
     name: str
     value: float
@@ -152,6 +152,6 @@ def uncovered(camera: CameraModel) -> float:
 
 
 def table(rows: Sequence[Figure]) -> list[tuple[str, str, str, str]]:
-    """Name, value with unit, limits, grade: for a terminal or a page."""
+    """Name, value, limits, grade."""
     values = ["not known" if np.isnan(f.value) else f"{f.value:.3g} {f.unit}".strip() for f in rows]
     return [(f.name, value, f"<= {f.good:g} / {f.usable:g}", f.grade.word) for f, value in zip(rows, values, strict=True)]

@@ -22,7 +22,7 @@ _EPSILON = 1e-4  # s, for derivatives of the path
 
 @dataclass(frozen=True)
 class Truth:
-    """True camera on the body and recording; distance_m: to the board."""
+    """distance_m: to the board."""
 
     R_bc: Array
     p_bc: Array
@@ -75,7 +75,7 @@ class Motion:
 def record(
     truth: Truth, camera: CameraModel, board: Board, noise: ImuNoise, rng: np.random.Generator
 ) -> tuple[Recording, Times, list[View], Motion]:
-    """IMU samples, stamps (shutter minus offset), views; images that lose a corner omitted."""
+    """IMU samples, stamps (shutter minus offset), views of all corners."""
     motion = Motion(truth, board, rng)
     t = np.arange(0.0, truth.seconds, 1.0 / truth.imu_hz)
     exact = np.array([np.concatenate(motion.imu(x)) for x in t])

@@ -78,5 +78,5 @@ def seen(camera: CameraModel, pose: Pose, board: Board, rng: np.random.Generator
 
 
 def both(rig: StereoRig) -> list[tuple[CameraModel, Pose]]:
-    """The rig's cameras, and poses of the left camera in each."""
+    """The rig's cameras, poses of the left one in each."""
     return [(rig.left, Pose(np.eye(3), np.zeros(3))), (rig.right, Pose(rig.R_rc, rig.t_rc))]

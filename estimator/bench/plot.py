@@ -17,7 +17,7 @@ _WIDTH: Final = 0.2  # of a bar
 
 
 def draw(result: Recognition) -> Figure:
-    """Bars of each method by experiment and kind of roof, and CPU time a frame."""
+    """Bars of each method by experiment and roof."""
     figure = Figure(figsize=(10.0, 6.2), layout="constrained", dpi=110)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))
     groups = list(dict.fromkeys((r.experiment, r.roof) for r in result.rows))

@@ -40,7 +40,7 @@ _ROOF_PX: Final = 3  # around a roof within which its key points lie
 
 
 class Answer(msgspec.Struct, frozen=True):
-    """cpu_ms: for the first pair, if timed; error_m: of a position; note: why; pair: from 1."""
+    """cpu_ms: for the first pair; pair: from 1."""
 
     verdict: Verdict
     cpu_ms: float | None
@@ -205,7 +205,7 @@ def _off_m(sample: Sample, H: Array) -> float:
 
 
 def ask(sample: Sample, looked: Looked, timed: bool, pairs: int) -> dict[str, Answer]:
-    """Answers by METHODS' names; looked: keypoints of the left image."""
+    """Answers by METHODS' names."""
     key_points = {sample.numbers: looked}
 
     def sift(surroundings: bool) -> Answer:

@@ -60,7 +60,7 @@ class Row(msgspec.Struct, frozen=True):
 
 
 class Recognition(msgspec.Struct, frozen=True):
-    """A run; pairs: per method at most; redrawn: images with too few keypoints."""
+    """A run; redrawn: images with too few keypoints."""
 
     samples: int
     seed: int
@@ -81,7 +81,7 @@ def run(
     jobs: int = 0,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Recognition:
-    """`samples` of every experiment and roof, `pairs` at most; jobs: processes, 0: all cores."""
+    """`samples` of every experiment and roof; jobs: 0: all cores."""
     wanted = [(e, r, seed, k, pairs) for e in experiments for r in roofs for k in range(samples)]
     trials: list[Trial] = []
     with pool(jobs or None, _begin) as workers:

@@ -50,7 +50,7 @@ _REFERENCE: Final = CameraModel(256, 256, 600.0, 600.0, 127.5, 127.5)
 
 @dataclass(frozen=True)
 class Reference:
-    """The landmark from above on another day; mask, centre_px: of its roof."""
+    """The landmark from above on another day."""
 
     image: Image
     mask: NDArray[np.uint8]
@@ -59,7 +59,7 @@ class Reference:
 
 @dataclass(frozen=True)
 class Sample:
-    """scene: truth, map, rig with errors; target; seen: visible share; numbers: of the draw."""
+    """scene: truth, map, rig with errors; seen: visible share."""
 
     numbers: tuple[int, ...]
     scene: Scene
@@ -90,7 +90,7 @@ def draw(experiment: Experiment, roof: Roof, seed: int, number: int, attempt: in
 
 
 def later(sample: Sample) -> Sample:
-    """The next pair, farther on by accurate odometry: the prior keeps its error."""
+    """The next pair, farther on."""
     numbers = (*sample.numbers, 1)
     rng = np.random.default_rng(numbers)
     way, slip = rng.normal(size=3) * _WAY_SIGMA_M, rng.normal(size=6) * _SLIP_SIGMA

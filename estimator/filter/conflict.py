@@ -25,7 +25,7 @@ _NEAR = 0.1  # share of the positions of a receiver that is right which are near
 
 
 class Apart(NamedTuple):
-    """A source away from the estimate since since_ns, by off (3,) [m] of covariance s (3, 3) at last_ns."""
+    """A source away from the estimate by off (3,) [m] of covariance s (3, 3) at last_ns."""
 
     since_ns: int
     last_ns: int

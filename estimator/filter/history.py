@@ -208,7 +208,7 @@ class History:
         self._next = 0
 
     def changed(self) -> list[Entry]:
-        """Entries whose decision differs from the one last reported, in order of validity."""
+        """Entries whose decision differs from the reported one."""
         if not self._changed:  # nearly every call
             return []
         changed = [e for e in set(self._changed) if e.decision is not None and e.counted is not e.decision.reason]

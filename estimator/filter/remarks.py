@@ -83,7 +83,7 @@ def imu(hypotheses: Hypotheses | None) -> list[str]:
 
 
 def scatter(found: Mapping[str, Scatter], t_ns: int) -> list[str]:
-    """Sources noisier than claimed."""
+    """Noisy sources."""
     return [
         f"{topic} scatters {math.sqrt(s.factor):.0f} times as far as it claims: jammed?"
         for topic, s in sorted(found.items())

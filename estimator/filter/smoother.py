@@ -64,7 +64,7 @@ class Node:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Link:
-    """Link from the node before: Phi (15, 15), prediction."""
+    """From the node before: Phi (15, 15), prediction."""
 
     before: Node
     phi: Array
@@ -116,7 +116,7 @@ def backward(nodes: Sequence[Node]) -> tuple[Array, Array]:
 
 
 def sort(messages: Iterable[Input], config: FilterConfig) -> tuple[ImuBuffer, list[Aid]]:
-    """Usable messages: IMU samples, and aids by validity, once."""
+    """IMU samples, and aids by validity, once."""
     samples, aids = ImuBuffer(), dict[tuple[int, str, str, bytes], Aid]()
     newest_ns = arrived_ns = None
     for message in messages:

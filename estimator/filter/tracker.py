@@ -103,11 +103,11 @@ class Tracker:
 
     @property
     def standing(self) -> int:
-        """2 aligned, 1 published without a heading, 0 none."""
+        """2 aligned, 1 without a heading, 0 none."""
         return 2 if self.core.is_aligned else int(self.alignment.shown is not None)
 
     def shown_covariance(self, mixed: Array | None = None) -> Array:
-        """Covariance shown; mixed: that of the hypotheses, if known, may be changed."""
+        """Covariance shown; mixed: that of the hypotheses."""
         core = self.core
         bank = self.alignment.bank
         assert bank is not None

@@ -21,7 +21,7 @@ _SILENT_S = 10.0  # a source that is silent for longer has no say
 
 
 class Recent(NamedTuple):
-    """Newest ratios r of a topic, the last at t_ns, and the largest usual median."""
+    """Newest ratios r of a topic, and the largest usual median."""
 
     t_ns: int
     ratios: tuple[float, ...]

@@ -109,7 +109,7 @@ class Pairing:
 
 
 class Track:
-    """Estimates of the last seconds; note() and request() from different threads."""
+    """Estimates of the last seconds; thread-safe."""
 
     def __init__(self) -> None:
         self._estimates: deque[Estimate] = deque(maxlen=_KEPT)

@@ -40,7 +40,7 @@ class Judge:
         self._better_since_ns: int | None = None
 
     def judge(self, t_ns: int, at_risk: Levels, at_caution: Levels) -> Alert:
-        """The state at t_ns."""
+        """The state."""
         if self._config.hal_m is None and self._config.val_m is None:
             return Alert.NOT_JUDGED
         now = _state(at_risk, at_caution, self._config, 1.0)

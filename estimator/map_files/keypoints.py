@@ -18,7 +18,7 @@ _VERSION = 1
 
 
 def keypoints(path: Path, image: GroundImage, config: FeatureConfig | None = None) -> tuple[Array, Descriptors]:
-    """Pixels (N, 2) and descriptors (N, 128) of the image, cached."""
+    """Pixels (N, 2) and descriptors (N, 128), cached."""
     config = config or FeatureConfig()
     key, file = _key(image, config), path.with_name(f"{path.name}.keypoints.npz")
     kept = _read(file, key, image)

@@ -49,7 +49,7 @@ class _Tile(NamedTuple):
 
 
 class Terrain:
-    """A file or a folder of tiles; above_ellipsoid: not above the sea. Raises MapError."""
+    """A file or folder of tiles. Raises MapError."""
 
     def __init__(self, source: Path, *, above_ellipsoid: bool = False, progress: Callable[[float], None] | None = None) -> None:
         self._above_ellipsoid = above_ellipsoid

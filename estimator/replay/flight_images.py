@@ -88,7 +88,7 @@ class Flight:
 
 
 def plan(cameras: Cameras, simulation: Simulation, seed: int) -> Flight:
-    """Scene under a simulated flight, and the exposures. Raises ValueError for a flight without origin."""
+    """Scene under a simulated flight, and the exposures. Raises ValueError without origin."""
     if simulation.origin is None:
         raise ValueError("cameras: their map needs a place on Earth")
     w = cameras.world

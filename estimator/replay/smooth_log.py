@@ -40,7 +40,7 @@ class SmoothLogConfig(Protocol):
 
 
 class SmoothSummary(msgspec.Struct, frozen=True):
-    """nodes, segments, and the largest 1-sigma of a position in any direction, m."""
+    """largest 1-sigma of a position in any direction, m."""
 
     nodes: int
     segments: int

@@ -1,4 +1,4 @@
-"""`landfix run`: starts the daemon with its links, log and vision process, and stops it."""
+"""`landfix run`: starts and stops the daemon."""
 
 import gc
 import signal

@@ -1,4 +1,4 @@
-"""Run everything once before the flight: kernels compiled, tables made."""
+"""Run everything once before the flight."""
 
 import numpy as np
 

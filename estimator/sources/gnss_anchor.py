@@ -17,6 +17,6 @@ class GnssAnchor:
     speed_m_s: float
 
     def at(self, t_ns: int) -> LastGnss:
-        """Grown with age at its speed."""
+        """Grown with age."""
         age_s = (t_ns - self.t_ns) * 1e-9
         return LastGnss(*self.place, age_s=age_s, sigma_m=float(np.hypot(self.sigma_m, self.speed_m_s * age_s)))

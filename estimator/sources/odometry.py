@@ -91,7 +91,7 @@ class Increment(NamedTuple):
 
 
 class Posed(NamedTuple):
-    """A pose (7,) in the odometry's frame `epoch`; since: increment from an earlier pose, and its errors."""
+    """A pose (7,) in the frame `epoch`; since: increment from an earlier pose."""
 
     pose: Array
     epoch: str

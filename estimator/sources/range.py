@@ -30,7 +30,7 @@ _Height: TypeAlias = Annotated[float, Meta(ge=-1e4, le=1e5)]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RangeDown(Conditional):
-    """z_m above ground of ground_m; noise (1, 1); steepest: largest tilt used, rad."""
+    """z_m above ground_m; noise (1, 1); steepest: tilt, rad."""
 
     z_m: float
     ground_m: float

@@ -69,13 +69,13 @@ class Rest:
 
 
 def rest_aid(t_ns: int) -> Aid:
-    """Whether the vehicle rests at t_ns, answered by the IMU samples before it."""
+    """Whether the vehicle rests at t_ns, by the IMU."""
     heading = SlowError(BLOCK, np.zeros((1, 1)), math.inf, np.eye(7)[:, :1], np.array([_WALK]))
     return asked(t_ns, TOPIC, [math.pi] + [10.0] * 3 + [1.0] * 3, (heading,))
 
 
 def is_quiet(u: Array) -> bool:
-    """Whether samples u (k, 6), gyro then accel, of a second may be of rest."""
+    """Whether samples u (k, 6) of a second may be of rest."""
     deviation = u.std(axis=0)
     return bool(deviation[:3].max() < _GYRO and deviation[3:].max() < _ACCEL)
 

@@ -1,4 +1,4 @@
-"""With which of the two, estimate or reference, a receiver agrees where they differ."""
+"""Whether a receiver agrees with estimate or reference."""
 
 from typing import Final
 

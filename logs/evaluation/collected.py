@@ -87,7 +87,7 @@ class Collected:
 
 
 class NoEstimateError(LogError):
-    """A log without an estimate although it was processed; aids: last decisions."""
+    """A processed log without an estimate; aids: last decisions."""
 
     def __init__(self, words: str, aids: tuple[AidStatus, ...], attachments: tuple[Attachment, ...], *, torn: bool) -> None:
         super().__init__(words)
@@ -126,7 +126,7 @@ class _Sheaf:
 
 
 class Collector:
-    """Keeps those messages of a log that an evaluation reads.
+    """Keeps messages for an evaluation.
 
     truth_topic: reference; most: estimates and truths kept.
     """

@@ -83,7 +83,7 @@ class Comparison:
 
 
 def compare(estimate: Trajectory, truth: Trajectory, every: int = 1) -> Comparison:
-    """The estimate's errors at the truth's stamps, positions also without attitude (variance >= 10 rad^2); every: thinning."""
+    """The estimate's errors at the truth's stamps; every: thinning."""
     estimate = estimate[np.asarray(np.isfinite(estimate.p).all(axis=1))]
     step_ns = int(1.5 * np.median(np.diff(estimate.t_ns))) if every > 1 and len(estimate) > 1 else 0
     at, covered = interpolate(estimate, truth.t_ns, max(LONGEST_STEP_NS, step_ns))
@@ -138,14 +138,14 @@ def find_outages(
 
 
 def is_absolute(kind: str, reason: Reason, t_ns: int, start_ns: int) -> bool:
-    """Whether the measurement gave the position; before a known heading it does so aligning."""
+    """Whether the measurement gave the position."""
     return kind in ABSOLUTE_KINDS and (reason is Reason.FUSED or (reason is Reason.ALIGNING and t_ns >= start_ns))
 
 
 def outages_between(
     seen: Mapping[str, list[tuple[int, int]]], start: int, end: int, longer_than_s: float | None = None
 ) -> dict[str, Outages]:
-    """Outages of source -> validity and arrival of absolute measurements; start, end: of the estimate."""
+    """Outages by source, of validity and arrival of absolute measurements; start, end: of the estimate."""
     outages = {source: _outages_of(points, start, end, longer_than_s) for source, points in seen.items()}
     if len(outages) > 1:
         return {ALL_SOURCES: _in_all(list(outages.values())), **outages}

@@ -22,7 +22,7 @@ _HOLDS_NS: Final = 1_000_000_000
 
 
 class Regions(msgspec.Struct, frozen=True):
-    """Counts along a direction; exceeded: errors above levels at the fixed risks, then the configured one."""
+    """exceeded: errors above levels at the fixed risks, then the configured one."""
 
     compared: int
     nominal: int

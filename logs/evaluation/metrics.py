@@ -136,7 +136,7 @@ def rpe(p_est: Array, q_est: Array, p_true: Array, q_true: Array, pairs: tuple[I
 
 
 class Drift(msgspec.Struct, frozen=True):
-    """Position error in a span [m]: RMSE, maximum, last, and that in percent of the distance."""
+    """Position error in a span [m]; end_percent: of the distance."""
 
     rmse_m: float
     max_m: float

@@ -28,7 +28,7 @@ Spans = list[tuple[int, int]]
 
 
 def from_above(collected: Collected, outages: Spans) -> Figure:
-    """The flight on the map plane: truth, estimate, 95 % ellipses, fixes, outages."""
+    """The flight on the map plane."""
     figure = _figure(8.0, 8.0)
     axes = figure.add_subplot()
     draw_from_above(axes, collected, outages)

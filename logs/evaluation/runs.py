@@ -23,7 +23,7 @@ from models.messages import Reason
 
 
 class Run(msgspec.Struct, frozen=True):
-    """One run, None: not in its log; outage_end_m: RMS; nees_*: mean / dof; inside95: share of time."""
+    """outage_end_m: RMS; nees_*: mean / dof; inside95: share of time."""
 
     run: str
     duration_s: float

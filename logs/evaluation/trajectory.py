@@ -1,4 +1,4 @@
-"""Trajectories as arrays, associated by stamps; axes of the wire (ENU, FLU)."""
+"""Trajectories as arrays, ENU, FLU."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -42,7 +42,7 @@ class Trajectory:
 
     @property
     def v(self) -> Array:
-        """Velocity in map axes, (n, 3) m/s; nan without attitude."""
+        """Velocity in map axes, (n, 3) m/s."""
         v = np.full_like(self.v_body, np.nan)
         given = self.has_attitude
         if given.any():
@@ -56,7 +56,7 @@ class Trajectory:
 
 
 def decode(schema: str, data: Sequence[bytes], arrived_ns: Sequence[int]) -> Trajectory:
-    """Trajectory of CDR messages of POSE_TYPES, from their last bytes; the first of equal stamps counts."""
+    """Trajectory of CDR messages of POSE_TYPES, from their last bytes."""
     size = 8 * _DOUBLES[schema]
     whole = [k for k, d in enumerate(data) if len(d) >= size + 2 * _ENCAPSULATION + 8]
     little = all(data[k][1] & 1 for k in whole)
@@ -92,7 +92,7 @@ def from_rows(t_ns: Times, arrived_ns: Times, x: Array) -> Trajectory:
 
 
 def decode_geodetic(data: Sequence[bytes], arrived_ns: Sequence[int], origin: Origin) -> Trajectory:
-    """Trajectory of NavSatFix CDR messages with a fix, in map, from their last bytes."""
+    """Trajectory of NavSatFix CDR messages, in map."""
     rows, stamps, arrivals = [], [], []
     for d, arrived in zip(data, arrived_ns, strict=True):
         start = _ENCAPSULATION + (len(d) - _ENCAPSULATION - 97) // 8 * 8  # doubles are aligned to 8
@@ -115,7 +115,7 @@ def _navsat_status(d: bytes) -> int:
 
 
 def nearest(t_ns: Times, wanted_ns: Times, tolerance_ns: int) -> tuple[Indices, Mask]:
-    """Nearest row of sorted t_ns (earlier of two) per wanted stamp, and whether within tolerance."""
+    """Nearest row of sorted t_ns, and whether within tolerance."""
     if not len(t_ns):
         return np.zeros(len(wanted_ns), np.intp), np.zeros(len(wanted_ns), bool)
     right = np.clip(np.searchsorted(t_ns, wanted_ns), 0, len(t_ns) - 1)
@@ -125,7 +125,7 @@ def nearest(t_ns: Times, wanted_ns: Times, tolerance_ns: int) -> tuple[Indices, 
 
 
 def interpolate(trajectory: Trajectory, wanted_ns: Times, longest_ns: int) -> tuple[Trajectory, Mask]:
-    """The trajectory at wanted stamps, and which are inside and in no hole beyond longest_ns.
+    """The trajectory at wanted stamps, and which are in no hole beyond longest_ns.
 
     p = (1 - w) p_a + w p_b,   R = R_a exp(w log(R_a' R_b)),   w = (t - t_a) / (t_b - t_a)
     """

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def estimate_frame(log: str | os.PathLike[str], topic: str = ODOMETRY_TOPIC, rate_hz: float = 0.0) -> "pd.DataFrame":
-    """A row per estimate, indexed by UTC validity; columns: logs.exporters.columns. Raises LogError.
+    """A row per estimate, by UTC; columns: logs.exporters.columns. Raises LogError.
 
     topic: other poses; rate_hz: 0: all; attrs["origin"]: (lat_deg, lon_deg, alt_m) or None.
     """

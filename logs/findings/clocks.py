@@ -46,7 +46,7 @@ class _Line(NamedTuple):
 
 
 def few_stamps(stream: Stream) -> Cause | None:
-    """Distinct stamps / samples < 1/2 with changing values: few digits, float32, never set."""
+    """Distinct stamps / samples < 1/2 with changing values."""
     n, distinct = len(stream.t_s), len(np.unique(stream.t_s))
     if distinct == 1:
         return Cause(f"all {n} stamps are the same", float(stream.arrived_s[0]), "let the sender set header.stamp", unfit=True)
@@ -59,7 +59,7 @@ def few_stamps(stream: Stream) -> Cause | None:
 
 
 def sawtooth(stream: Stream) -> Cause | None:
-    """Stamps repeatedly fall back by one amount: a part of the time is missing."""
+    """Stamps repeatedly fall back by one amount."""
     steps = np.diff(stream.t_s)
     back = np.flatnonzero(steps < -0.05)
     if len(back) < 3:
@@ -75,7 +75,7 @@ def sawtooth(stream: Stream) -> Cause | None:
 
 
 def two_clocks(stream: Stream) -> Cause | None:
-    """Two offset groups, 10 x scatter and 50 ms apart, 10 changes or more: two senders."""
+    """Two offset groups, 10 x scatter and 50 ms apart, 10 changes."""
     offset = _offset(stream)
     ordered = np.sort(offset)
     k = int(np.argmax(np.diff(ordered))) + 1
@@ -92,7 +92,7 @@ def two_clocks(stream: Stream) -> Cause | None:
 
 
 def batches(stream: Stream) -> Cause | None:
-    """Steps > 5 x median hold > 90 % of the span, 10 or more: IMU stamped in batches on arrival."""
+    """Steps > 5 x median, 10 or more, hold > 90 % of the span."""
     steps = np.diff(stream.t_s)
     waits = np.flatnonzero(steps > 5.0 * max(float(np.median(steps)), 0.0))
     span = float(stream.t_s[-1] - stream.t_s[0])
@@ -156,7 +156,7 @@ _UNITS: Final = (
 
 
 def shifted(stream: Stream, others: list[Stream]) -> Cause | None:
-    """Median offset ahead of arrivals or beyond any delay, unlike most others."""
+    """Median offset unlike most others': ahead of arrivals, or beyond any delay."""
     offset = float(np.median(_offset(stream)))
     if not _out(stream.kind, offset) or 2 * sum(not _out(s.kind, float(np.median(_offset(s)))) for s in others) <= len(others):
         return None

@@ -67,7 +67,7 @@ def _measured(stream: Stream) -> slice:
 
 
 def _moves(stream: Stream, imu: Stream | None, first: int, last: int) -> bool:
-    """A receiver: at > 1 m/s just before, or 5 m away behind it; a magnetometer: the IMU turns; others: its samples change."""
+    """Receiver: at > 1 m/s before, or 5 m away behind; magnetometer: the IMU turns; others: its samples change."""
     if stream.kind in (IMU, "range"):  # the height above the ground may stay as it is
         return stream.kind == IMU
     if stream.kind == VELOCITY:

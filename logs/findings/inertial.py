@@ -92,9 +92,9 @@ def spikes(imu: Stream) -> Cause | None:
 
 
 def tilted(imu: Stream) -> Cause | None:
-    """At rest and level f_b = (0, 0, -g) in FRD; else axes or mounting.
+    """At rest and level f_b = (0, 0, -g) in FRD.
 
-    At the log's start only: a flight may end upside down.
+    At the log's start only.
     """
     if imu.kind != IMU or imu.arrived_s[0] > _BEGINNING_S:
         return None
@@ -140,7 +140,7 @@ def _turns(field: Array) -> bool:
 
 
 def clipped(imu: Stream) -> Cause | None:
-    """20 samples or more at an extreme, to the bit, near a full scale (2 %)."""
+    """20 samples at an extreme, to the bit, near a full scale (2 %)."""
     if imu.kind != IMU:
         return None
     for axis in range(6):

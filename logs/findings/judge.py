@@ -1,4 +1,4 @@
-"""All causes of a stretch, likeliest first: stamps, readings, then pairs of sensors."""
+"""All causes of a stretch, likeliest first."""
 
 from collections.abc import Iterator
 from itertools import chain

@@ -52,7 +52,7 @@ def far(stream: Stream, origin: Vec3 | None) -> Cause | None:
 
 
 def scattered(stream: Stream) -> Cause | None:
-    """|p_k - (p_k-1 + p_k+1) / 2| > 8 x the accuracy, most fixes of 4 s: jammed, or wrong accuracy."""
+    """|p_k - (p_k-1 + p_k+1) / 2| > 8 x the accuracy, most fixes of 4 s."""
     t, p = positions(stream)
     sigma = stream.in_order().values[:, 3]
     if len(t) < _LEAST_STEPS or not sigma.any():

@@ -71,7 +71,7 @@ OfStream: TypeAlias = Callable[[Stream], Cause | None]
 
 
 def row(message: Input) -> tuple[str, tuple[float, ...]] | None:
-    """Kind and values of a message, or None: gyro, accel; lat, lon, alt, sigma; v_n; p, q; q; a reading's."""
+    """Kind and values: gyro, accel; lat, lon, alt, sigma; v_n; p, q; q; a reading's."""
     match message:
         case ImuSample():
             return IMU, (*message.gyro_b, *message.accel_b)

@@ -1,4 +1,4 @@
-"""Collects a log's streams and judges them by stretches, in bounded memory."""
+"""Judges a log's streams by stretches, in bounded memory."""
 
 from array import array
 from typing import Final

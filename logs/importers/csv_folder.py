@@ -97,7 +97,7 @@ def _checks(folder: Path) -> dict[str, object]:
 
 
 def arrived(table: Table) -> Times:
-    """Arrivals: given, else in file order."""
+    """Arrivals: given, else file order."""
     if table.arrived_ns is None:
         return recording.arrival(table.t_ns)
     return np.where(table.arrived_ns >= 0, table.arrived_ns, table.t_ns)

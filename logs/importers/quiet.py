@@ -1,4 +1,4 @@
-"""Silences foreign readers, compiled code included."""
+"""Silences foreign readers."""
 
 import contextlib
 import os
@@ -8,7 +8,7 @@ from pathlib import Path
 
 @contextlib.contextmanager
 def silence() -> Iterator[None]:
-    """Discard standard output (Python) and standard error (process) meanwhile."""
+    """Discard standard output (Python) and error (process)."""
     kept = os.dup(2)
     try:
         with Path(os.devnull).open("w") as nowhere:

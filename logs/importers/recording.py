@@ -1,4 +1,4 @@
-"""A foreign log as columns in NED, FRD, SI, messages in order of arrival; nan: not given."""
+"""A foreign log as columns in NED, FRD, SI; nan: not given."""
 
 import heapq
 import math
@@ -78,7 +78,7 @@ DEFAULTS = ImportOptions()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stream:
-    """Messages of a topic: t_ns, arrived_ns (n,), columns (n, ...), and the row's constructor."""
+    """Messages of a topic: t_ns, arrived_ns (n,), columns (n, ...)."""
 
     topic: str
     t_ns: Times
@@ -107,7 +107,7 @@ class Stream:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """A whole log and hints for the estimator; at equal arrival earlier streams first."""
+    """A whole log; at equal arrival earlier streams first."""
 
     streams: tuple[Stream, ...]
     settings: Settings

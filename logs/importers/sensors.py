@@ -18,7 +18,7 @@ _AXES_LEAN = 0.7  # of the mean specific force that must point up if the axes ar
 
 
 def check_imu(gyro_b: Array, accel_b: Array, where: str) -> list[str]:
-    """Raise LogError for deg/s, g, missing gravity; notes. gyro_b, accel_b (n, 3), FRD."""
+    """Notes; gyro_b, accel_b (n, 3), FRD. Raises LogError."""
     force = np.linalg.norm(accel_b, axis=1)
     rate = np.linalg.norm(gyro_b, axis=1)
     if not np.isfinite(force).any() or not np.isfinite(rate).any():
@@ -58,7 +58,7 @@ def check_place(lla: Array, where: str) -> None:
 
 
 def receiver_state(jamming: Array, spoofing: Array) -> Array:
-    """ReceiverState of PX4's and MAVLink's states: 0 unknown, 1 none, 2 mitigated or suspected, 3 detected or multiple."""
+    """Of PX4's and MAVLink's: 0 unknown, 1 none, 2 mitigated or suspected, 3 detected."""
     disturbed = (jamming == _DETECTED) | (spoofing == _SUSPECTED)
     return np.where(
         spoofing == _DETECTED, ReceiverState.SPOOFED, np.where(disturbed, ReceiverState.JAMMED, ReceiverState.UNKNOWN)

@@ -23,7 +23,7 @@ def truth(t_ns: Times, lla: Array, v_n: Array, q_nb_wxyz: Array, known: Vec3 | N
 
 
 def about(truth: Stream | None, own: Stream | None, messages: str) -> str:
-    """Remark on the truth: `own` is the autopilot's estimate, `messages` would hold a simulator's."""
+    """Remark on the truth; `own`: the autopilot's estimate."""
     if truth is None:
         return f"no reference in it ({messages})"
     if truth is own:

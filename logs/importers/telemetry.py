@@ -67,7 +67,7 @@ class Table:
 
 
 def messages_of(source: Path, progress: Progress | None) -> tuple[dict[str, Array], int, int]:
-    """Rows (arrived_us, stamp_us, number, *fields) of the vehicle; its autopilot; number damaged."""
+    """Rows (arrived_us, stamp_us, number, *fields); autopilot; number damaged."""
     rows: dict[int, dict[str, dict[int, list[list[float]]]]] = {}  # system, message, component
     autopilots: dict[int, tuple[int, int]] = {}  # system -> component, kind
     total = damaged = 0

@@ -1,4 +1,4 @@
-"""Extremes of signals in a bounded number of time spans, merged as the flight grows."""
+"""Extremes of signals in a bounded number of time spans."""
 
 from typing import Final
 
@@ -19,7 +19,7 @@ class Buckets:
         self._low, self._high = np.full((spans, signals), np.inf), np.full((spans, signals), -np.inf)
 
     def add(self, t_ns: Times, values: Array) -> None:
-        """values: (n, k) at (n,) stamps, any order; non-finite or earlier ones dropped."""
+        """values (n, k) at (n,) stamps; non-finite or earlier ones dropped."""
         known = t_ns >= self.start_ns
         order = np.argsort(t_ns[known], kind="stable")
         t_ns, values = t_ns[known][order], values[known][order]

@@ -127,7 +127,7 @@ def biases(collected: Collected, gathered: Gathered) -> Charts:
 
 
 def innovations(collected: Collected) -> Charts:
-    """Normalised innovations, NIS and gate test by source."""
+    """Normalised innovations, NIS, gate by source."""
     by_source: dict[tuple[str, str], list[AidStatus]] = {}
     for aid in collected.aids:
         if aid.innovation:

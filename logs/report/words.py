@@ -84,7 +84,7 @@ def duration(s: float) -> str:
 
 
 def findings(e: Evaluation, collected: Collected, gathered: Gathered) -> list[Finding]:
-    """Findings: faulty streams, then worst first."""
+    """Faulty streams, then worst first."""
     found = [
         *_consistency(e),
         *_behaviour(e, gathered),

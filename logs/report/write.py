@@ -92,7 +92,7 @@ def compose(
     without_odometry: Path | None = None,
     illustrate: Illustrate = no_illustrations,
 ) -> Written:
-    """Write gathered data's report to `out`; without_odometry: the same flight without. Raises LogError."""
+    """Write the report to `out`; without_odometry: the same flight without. Raises LogError."""
     without = read(without_odometry).estimate if without_odometry else None
     evaluation = assess(collected, name, outage_s=outage_s, without_odometry=without)
     outages = find_outages(collected.aids, collected.health, collected.estimate, outage_s)["all"].spans

@@ -93,7 +93,7 @@ class McapWriter:
         self._metadata.append(MetadataIndex(offset, self._put(Metadata(name, dict(data))), name))
 
     def flush(self) -> None:
-        """Close the open chunk and flush to the operating system."""
+        """Close the chunk and flush."""
         self._close_chunk()
         self._file.flush()
 

@@ -1,4 +1,4 @@
-"""A torn or damaged log: all whole records go into a new file with index and end."""
+"""All whole records of a damaged log into a new file."""
 
 import os
 from collections.abc import Callable, Sequence

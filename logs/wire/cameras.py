@@ -36,7 +36,7 @@ def encode_cameras(t_ns: int, rig: StereoRig) -> list[Encoded]:
 
 
 def is_own_static(data: bytes) -> bool:
-    """Whether a /tf_static message is ours: base_link -> left_camera[, right_camera]."""
+    """Whether it is base_link -> left_camera[, right_camera]."""
     try:
         transforms = STORE.deserialize_cdr(data, schemas.TF).transforms  # type: ignore[attr-defined]
     except Exception:  # whatever bytes from outside trip over, they are not ours

@@ -126,7 +126,7 @@ def encode_truth(t_ns: int, p_n: Array | Vec3, v_n: Array | Vec3, q_nb_wxyz: Arr
 
 
 def encode_input(message: Input, mounting: ImuMounting | None = None) -> Encoded:
-    """A measurement as its sensor sends it; a PoseFix with summed covariances. Raises ValueError for an Unusable."""
+    """A measurement as its sensor sends it. Raises ValueError."""
     match message:
         case ImuSample():
             return packed(message.topic, schemas.IMU, **_imu(message, (mounting or ImuMounting()).of(message.topic)))

@@ -45,7 +45,7 @@ class Range(NamedTuple):
 
 
 def measured_range(own_m: float, finder_m: float) -> Range | None:
-    """The message's range, else a range finder's; nan, infinite, too close: none."""
+    """The message's range, else a range finder's, or none."""
     for metres, kind in ((own_m, "flow"), (finder_m, "finder")):
         if LEAST_RANGE_M < metres < math.inf:
             return Range(metres, _FINDER_SHARE * metres, kind)

@@ -1,4 +1,4 @@
-"""Landmarks for viewers: a MarkerArray in map: used, others, names; replaces the last."""
+"""Landmarks for viewers: a MarkerArray in map."""
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import Any, Final

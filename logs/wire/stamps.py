@@ -1,4 +1,4 @@
-"""header.stamp of a message on the wire, read and written without decoding the rest."""
+"""header.stamp of a message on the wire."""
 
 import struct
 from typing import Final

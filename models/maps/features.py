@@ -35,7 +35,7 @@ class OurPolygon(msgspec.Struct, tag_field="type", tag="Polygon"):
 
 
 class OurProperties(msgspec.Struct, omit_defaults=True):
-    """Properties as we write them; those with defaults, but name, colour and weights, are not read."""
+    """Properties as we write them."""
 
     height_m: _Height
     height_sigma_m: _Sigma

@@ -35,7 +35,7 @@ _VERDICTS = {
 
 
 def read(data: bytes, defaults: Defaults) -> tuple[Vec3, Columns, MapReport, tuple[float, float], bool]:
-    """Origin (lat_deg, lon_deg, alt_m), landmarks, findings, common_sigma_m, automatic. Raises MapError."""
+    """Origin (lat_deg, lon_deg, alt_m), landmarks, findings. Raises MapError."""
     head, raw_features = features(data.removeprefix(b"\xef\xbb\xbf"))
     parts = Parts(defaults)
     for number, raw in enumerate(raw_features, 1):

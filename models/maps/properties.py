@@ -97,7 +97,7 @@ def line_width_m(p: Properties) -> tuple[float, float] | str:
 
 
 def read(p: Properties, defaults: Defaults, side_sigma_m: float | None = None) -> Attributes:
-    """The attributes; unreadable ones are remarked and missing. side_sigma_m: of a line."""
+    """The attributes. side_sigma_m: of a line."""
     missing: list[str] = []
     remarks: list[str] = []
     flat = side_sigma_m is not None or on_ground.lies_on_ground(p.tags)

@@ -35,9 +35,7 @@ class Columns(msgspec.Struct, frozen=True, eq=False):
 
 
 class Alike(msgspec.Struct, frozen=True, eq=False):
-    """Per landmark: number of similar ones nearby (N,), nearest [m], nearest shift [m] that repeats the surroundings; inf for
-    none.
-    """
+    """Per landmark: similar ones (N,), nearest [m], nearest repeating shift [m]; inf: none."""
 
     count: NDArray[np.int64]
     nearest_m: Array
@@ -66,7 +64,7 @@ class MapReport(msgspec.Struct, frozen=True, eq=False):
 
 
 def reasons(findings: Iterable[Finding]) -> list[tuple[str, int]]:
-    """Findings with numbers of features; texts differing in numbers count as one."""
+    """Findings with numbers of features."""
     return Counter(re.sub(r"#?\d[\d.]*", "...", finding.text) for finding in findings).most_common()
 
 

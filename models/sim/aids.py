@@ -25,8 +25,7 @@ Stamps = NDArray[np.int64]
 class Gnss(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A GNSS receiver; triples are north, east, down.
 
-    slow_sigma_m, slow_tau_s: Gauss-Markov; delay_s: a number or [least, most]; stamp_lag_s: lateness of stamps; antenna_b_m:
-    lever arm; outages_s: intervals.
+    slow_sigma_m, slow_tau_s: Gauss-Markov; delay_s: a number or [least, most]; stamp_lag_s: lateness of stamps.
     """
 
     rate_hz: Rate = 5.0
@@ -59,8 +58,7 @@ class FalseSpan(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 class PoseFixes(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A source of 6-DoF fixes; triples along n.
 
-    delay_s, outages_s: as Gnss; outlier_share: with an extra error within outlier_m, outlier_deg; common_sigma_*: drawn once a
-    run.
+    outlier_share: with an extra error within outlier_m, outlier_deg; common_sigma_*: drawn once a run.
     """
 
     rate_hz: Rate = 2.0

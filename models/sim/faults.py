@@ -87,7 +87,7 @@ class Jam(Fault, frozen=True, tag="jam"):
 
 
 class SpoofJump(Fault, frozen=True, tag="spoof_jump"):
-    """GNSS positions jump by a constant offset; velocity stays true."""
+    """GNSS positions jump; velocity stays true."""
 
     offset_n_m: Vec3 = (100.0, 0.0, 0.0)
 
@@ -96,7 +96,7 @@ class SpoofJump(Fault, frozen=True, tag="spoof_jump"):
 
 
 class SpoofPull(Fault, frozen=True, tag="spoof_pull"):
-    """GNSS is drawn away slowly, its velocity agreeing with its position."""
+    """GNSS is drawn away slowly, velocity included."""
 
     rate_n_m_s: Vec3 = (0.5, 0.0, 0.0)
 
@@ -135,7 +135,7 @@ class Late(Fault, frozen=True, tag="delay"):
 
 
 class Duplicate(Fault, frozen=True, tag="duplicate"):
-    """A share of the messages comes twice, the second time later."""
+    """A share of messages comes again, later."""
 
     topics: tuple[str, ...] = (POSE_FIX,)
     share: Share = 0.5
@@ -184,7 +184,7 @@ class NotFinite(Fault, frozen=True, tag="not_finite"):
 
 
 class ZeroCovariance(Fault, frozen=True, tag="zero_covariance"):
-    """The reported covariance is zero, as of a careless driver."""
+    """The reported covariance is zero."""
 
     topics: tuple[str, ...] = (GNSS, VELOCITY, POSE_FIX)
 

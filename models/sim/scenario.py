@@ -29,8 +29,7 @@ _HOME = (47.3977, 8.5456, 488.0)  # lat_deg, lon_deg, alt_m: a field near Zurich
 class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Contents of a scenario file.
 
-    origin: deg, deg, m above the ellipsoid; geographic = false: no Earth rate, no GNSS; ticks_hz: clock messages; other_imus: on
-    /imu2, /imu3, ...
+    origin: deg, deg, m above the ellipsoid; geographic = false: no Earth rate, no GNSS; other_imus: on /imu2, ...
     """
 
     name: str = "scenario"

@@ -70,7 +70,7 @@ class Unmatched:
 def correspond(
     left: Image, right: Image, regions: Sequence[Region], rig: StereoRig, search: Search | None = None
 ) -> list[Match | Unmatched]:
-    """A Match or Unmatched per region, in order; left, right: rectified grey images of `rig`."""
+    """A Match or Unmatched per region; left, right: rectified, grey."""
     search = search or Search()
     pair = _Pyramid(left, right)
     return [_match(pair, region, rig, search) for region in regions]

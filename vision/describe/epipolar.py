@@ -59,7 +59,7 @@ def edge_residual(
 
 
 def pair_reason(matches: Sequence[Match | Unmatched], residual: Residual | None) -> str | None:
-    """Why the pair's distances are invalid (swapped, rows differ), or None."""
+    """Why the pair's distances are invalid, or None."""
     behind = sum(isinstance(m, Unmatched) and m.behind for m in matches)
     found = sum(isinstance(m, Match) for m in matches)
     misfit = residual is not None and abs(residual.vertical_px) > max(_LIMIT_PX, 3.0 * residual.sigma_px)

@@ -50,7 +50,7 @@ class Survey:
 
 
 def survey(left: Image, right: Image, rectification: Rectification, settings: Settings | None = None) -> Survey | str:
-    """What the pair shows, or why it is unusable; left, right: raw, uint8 or uint16, grey or BGR."""
+    """What the pair shows, or why unusable; left, right: raw, uint8 or uint16, grey or BGR."""
     settings = settings or Settings()
     for name, image in (("left", left), ("right", right)):
         if flaw := check.image_flaw(image):

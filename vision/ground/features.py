@@ -94,7 +94,7 @@ class NotRecognised:
 
 @dataclass(frozen=True, slots=True)
 class Matches:
-    """Matching pixels (N, 2) of the left camera and map points (N, 3); sigma_px; inlier_px: RANSAC's distance."""
+    """Matching pixels (N, 2) and map points (N, 3); inlier_px: RANSAC's distance."""
 
     px: Array
     x_n: Array

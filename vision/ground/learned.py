@@ -37,7 +37,7 @@ class ModelError(ValueError):
 
 
 class Model(NamedTuple):
-    """An ONNX file: name, content, expected SHA-256 (empty: unchecked)."""
+    """An ONNX file; SHA-256 empty: unchecked."""
 
     name: str
     content: bytes

@@ -27,7 +27,7 @@ _POINT = PointConfig(least=1, freedom=1e3, expected=1.0)  # one point is not use
 
 
 class PeakConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """When a peak counts, when alone (alone_), and c, f, m of its covariance."""
+    """When a peak counts, also alone (alone_), and c, f, m."""
 
     ratio: Annotated[float, Meta(ge=1, description="height of the peak over that of the second")] = 1.25
     correlation: Annotated[float, Meta(ge=0, le=1, description="at the peak")] = 0.2
@@ -75,7 +75,7 @@ def edges_agree(peak: Peak, config: PeakConfig) -> bool:
 def fit_peak(
     rig: StereoRig, prior: Prior, map_image: GroundImage, peak: Peak, config: PeakConfig | None = None
 ) -> PoseEstimate | str:
-    """Pose by the prior and the peak, or why there is none; two directions measured."""
+    """Pose by prior and peak, two directions measured, or why none."""
     config = config or PeakConfig()
     if flaw := peak_flaw(peak, config):
         return flaw
@@ -88,7 +88,7 @@ def fit_peak(
 def fit_ridge(
     rig: StereoRig, prior: Prior, map_image: GroundImage, peak: Peak, config: PeakConfig | None = None
 ) -> PoseEstimate | str:
-    """Pose by the prior and the line of best positions, or why there is none; measured across only."""
+    """Pose by prior and line, measured across only, or why none."""
     config = config or PeakConfig()
     ridge = peak.ridge
     if ridge is None:

@@ -74,7 +74,7 @@ def find_line(scores: Float, inside: Mask, extent: Array, ratio: float) -> Line 
 
 
 def where_evidence_is(template: Float, image: Float, mask: Float) -> Array:
-    """Column, row: masked template points weighted by their share of the correlation."""
+    """Column, row: template points by their share of the correlation."""
     seen = mask > 0.0
     product = np.where(seen, (template - template[seen].mean()) * (image - image[seen].mean()), 0.0).clip(0.0)
     rows, columns = np.indices(template.shape)

@@ -229,7 +229,7 @@ def _surrounded(inside: Mask, i: int, j: int) -> bool:
 
 
 def curvature_at(rho: Float, i: int, j: int) -> tuple[Array, Array] | None:
-    """K = -d^2 rho / d(column, row)^2 (2, 2) at a summit, and step (2,) to the parabola's top; None without."""
+    """K = -d^2 rho / d(column, row)^2 (2, 2), and step (2,) to the top, or None."""
     n = rho[i - 1 : i + 2, j - 1 : j + 2].astype(np.float64)
     slope = 0.5 * np.array([n[1, 2] - n[1, 0], n[2, 1] - n[0, 1]])
     twist = 0.25 * (n[2, 2] + n[0, 0] - n[0, 2] - n[2, 0])

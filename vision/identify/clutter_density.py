@@ -18,7 +18,7 @@ _TURN, _SCALE = 5, 6  # of x
 
 @dataclass(frozen=True, slots=True)
 class ClutterDensity:
-    """log_density (M, T, S) of M regions at evenly spaced turns (T,) rad and log scales (S,).
+    """log_density (M, T, S) at turns (T,) rad and log scales (S,).
 
     log_above_mean (T, S): mean excess of position over anywhere, >= 0.
     """
@@ -34,7 +34,7 @@ class ClutterDensity:
         return np.asarray(self.log_density.max(axis=(1, 2)))
 
     def below_highest(self, absent: NDArray[np.bool_], x: Array, covariance: Array) -> Array:
-        """Log of f_i over its highest, summed over absent regions, with the first where all are absent (H,).
+        """Log of f_i over its highest, summed over absent regions (H,).
 
         absent (H, M); x (H, 7), covariance (H, 7, 7).
         """

@@ -23,7 +23,7 @@ def limits(image: Image, clip: float = 0.01) -> tuple[float, float]:
 
 
 def stretch(image: Image, clip: float = 0.01, margin: float = 0.0) -> NDArray[np.uint8]:
-    """s = (r - c) (b - a) / (d - c) + a, a = 0, b = 255 (thesis eq. 4.60); flat: middle grey; margin: beyond c, d, of d - c."""
+    """s = (r - c) (b - a) / (d - c) + a, a = 0, b = 255 (thesis eq. 4.60); flat: middle grey."""
     c, d = limits(image, clip)
     if d <= c:
         return np.full(image.shape, 128, dtype=np.uint8)

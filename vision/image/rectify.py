@@ -41,7 +41,7 @@ class Rectification:
 
 
 def rectification(rig: StereoRig) -> Rectification:
-    """Rectification of a rig. Raises ValueError unless the cameras stand side by side, left first."""
+    """Raises ValueError unless the cameras stand side by side, left first."""
     if _is_rectified(rig):
         return Rectification(rig, None, None)
     R_from_c = _rows(rig)

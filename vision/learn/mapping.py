@@ -214,7 +214,7 @@ class Mapper:
         return Position(l_n, max(chi2, 1.0) * own, F, chi2)
 
     def same(self, a: Track, b: Track) -> bool:
-        """Whether two tracks may be one object; common errors move both."""
+        """Whether two tracks may be one object."""
         off, sides = a.position - b.position, a.log_sides - b.log_sides
         if float(np.hypot(off[0], off[1])) > np.exp(max(a.log_sides[0], b.log_sides[0])):  # no part in common
             return False
@@ -247,7 +247,7 @@ class Mapper:
         return float(off @ np.linalg.solve(S, off) + np.sum(sides**2 / (2.0 * one.log_sigma**2)))
 
     def _keep_joint(self, observations: Sequence[Observation], chosen: dict[int, int]) -> None:
-        """Drop pairs until the rest agrees jointly: one pose error per image."""
+        """Drop pairs until the rest agrees jointly."""
         while len(chosen) > 1:
             pairs = list(chosen.items())
             off = np.concatenate([observations[i].z - self.tracks[j].position for i, j in pairs])

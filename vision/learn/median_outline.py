@@ -23,7 +23,7 @@ class Merged(NamedTuple):
 
 
 def merged_outline(outlines: Sequence[Array], cell_m: float) -> Merged | None:
-    """Of outlines (K_i, 2) north, east about centroids, by votes on a grid of cell_m; None without majority or polygon."""
+    """Of outlines (K_i, 2) about centroids, by votes on a grid of cell_m, or None."""
     laid = [outline - _centroid(outline) for outline in outlines]
     half = float(np.max([np.abs(outline).max() for outline in laid]))
     cell = max(cell_m, 2.0 * half / _MOST_CELLS)

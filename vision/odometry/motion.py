@@ -207,7 +207,7 @@ def _errors(N: Array, disparity_sigma_px: float, plane: Plane | None) -> tuple[A
 
 
 class _System(NamedTuple):
-    """Residual e (N, r), C (N, r, unknowns), G (N, r, 3), S^-1 (N, r, r), two sigmas (N, 2); r = 3, or 4 with a plane."""
+    """e (N, r), C (N, r, unknowns), G (N, r, 3), S^-1 (N, r, r), sigmas (N, 2); r = 3, or 4 with a plane."""
 
     e: Array
     C: Array
@@ -217,7 +217,7 @@ class _System(NamedTuple):
 
 
 def _filled(geometry: Geometry, y0: Array, sigma_px: float, plane: Plane | None) -> tuple[Array, Array]:
-    """Measurements and variances (N, 3) of the first pair; missing u_r on the plane, without weight."""
+    """Of the first pair (N, 3); missing u_r on the plane, without weight."""
     missing = ~np.isfinite(y0[:, 2])
     z0, variance = y0.copy(), np.full(y0.shape, sigma_px**2)
     if missing.any():

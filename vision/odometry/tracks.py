@@ -36,7 +36,7 @@ def stereo(left: View, right: View, raw_px: Array, row: Array, guess: Array, len
 
 
 def coarse_columns(left: View, right: View, px: Array, low: Array, high: Array) -> Array:
-    """u_r (N,) of rectified left pixels px (N, 2) to 1 px, between low and high (N,), by row correlation; NaN: none or two."""
+    """u_r (N,) of px (N, 2) to 1 px, between low and high (N,), by row correlation; NaN: none or two."""
     a, b, k_small = left.small, right.small, 1.0 / left.scale
     height, width = a.shape
     exact = scaled_px(px, k_small)

@@ -74,7 +74,7 @@ class PredictPath:
     def moves(
         self, images: Images, near: Sequence[Landmark], prior: Prior, most: int | None = None
     ) -> tuple[list[Landmark], Motion] | None:
-        """Landmarks that may be in view (at most `most`) and their motion by the prior, or None."""
+        """Landmarks that may be in view and their motion by the prior, or None."""
         eye = self._eye(images)
         marks = _in_view(eye, near, prior, self._limit_px(eye), most or self._config.most_voting)
         move = motion(eye, marks, prior) if marks else None

@@ -16,7 +16,7 @@ _SHIFT = 4  # OpenCV draws in sixteenths of a pixel
 
 
 def annotate(image: Image, measured: Sequence[Measured], unmeasured: Sequence[Unmeasured] = ()) -> NDArray[np.uint8]:
-    """BGR image, enlarged if small: outlines, numbers, width x length, distance."""
+    """BGR image, enlarged if small."""
     scale = 1 if image.shape[1] > 1000 else 2
     canvas = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image
     canvas = cv2.resize(canvas, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)

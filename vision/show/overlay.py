@@ -34,7 +34,7 @@ _MAGNIFIED = 10.0  # residuals are drawn so much longer
 
 @dataclass(frozen=True, slots=True)
 class Residuals:
-    """Points, unit normals (N, 2) of a landmark's outlines, offset_px (N,) of the seen edge, NaN: none."""
+    """Points, unit normals (N, 2) of outlines, offset_px (N,) of the seen edge, NaN: none."""
 
     id: str
     px: Array
@@ -123,7 +123,7 @@ def draw_overlay(
     residuals: Sequence[Residuals] = (),
     caption: Sequence[str] = (),
 ) -> Canvas:
-    """A copy (H, W, 3) with visible edges and names; identified ids stand out.
+    """A copy (H, W, 3) with visible edges and names.
 
     residuals: strokes of ten times their length; caption: lines at the lower left.
     """

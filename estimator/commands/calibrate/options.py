@@ -79,7 +79,7 @@ def check_outputs(report_file: Path, out: Path | None, *inputs: Path) -> None:
 def tell(
     judged: "Verdict", tables: "Sequence[Table]", unused: "Sequence[Dropped]", written: list[Path], facts: dict[str, Any] | None
 ) -> None:
-    """The result on stdout: JSON where there are facts, else text."""
+    """The result on stdout, JSON or text."""
     from calib.report.verdict import table
 
     if facts is not None:

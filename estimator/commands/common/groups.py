@@ -1,4 +1,4 @@
-"""The lists of commands in a group's help."""
+"""Lists of commands in help."""
 
 from typing import Any
 

@@ -34,7 +34,7 @@ def read_image(path: Path) -> Any:
 
 
 def read_images(sources: Sequence[str], topic: str, most: int = MOST_FRAMES) -> Iterator[SourceImage]:
-    """All images in order, `most` of a video or log. Raises CalibrationError for none."""
+    """All images, `most` of a video or log. Raises CalibrationError."""
     files = files_of(sources)
     source: Iterator[SourceImage]
     for k, file in enumerate(files):
@@ -56,7 +56,7 @@ def is_video(path: Path) -> bool:
 
 
 def files_of(sources: Sequence[str]) -> list[str]:
-    """Files and cameras that sources mean. Raises CalibrationError for none."""
+    """Files and cameras that sources mean. Raises CalibrationError."""
     return [f for source in sources for f in _files(source)]
 
 
@@ -119,7 +119,7 @@ def is_live(source: str) -> bool:
 
 
 def live(sources: Sequence[str]) -> Iterator[tuple[SourceImage, ...]]:
-    """Simultaneous images of cameras. Raises CalibrationError where one gives none."""
+    """Simultaneous images of cameras. Raises CalibrationError."""
     cameras = [_opened(source.removeprefix("camera:")) for source in sources]
     began, taken, count = time.monotonic(), -_LIVE_S, 0
     while (elapsed := time.monotonic() - began) < _LIVE_FOR_S and all(c.grab() for c in cameras):

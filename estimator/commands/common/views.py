@@ -47,7 +47,7 @@ class _Gathered:
 def gather(
     sources: Sequence[str], topic: str, board: Board, progress: Callable[[float], None], most: int = MOST_FRAMES
 ) -> tuple[list[Keyed], list[Dropped]]:
-    """Views with keys, and images without a board. Raises CalibrationError for too few."""
+    """Views with keys, and images without. Raises CalibrationError."""
     gathered = _Gathered(board)
     for image in read_images(sources, topic, most):
         gathered.add(image)
@@ -58,7 +58,7 @@ def gather(
 def gather_pairs(
     left: Sequence[str], right: Sequence[str], topics: tuple[str, str], board: Board, progress: Callable[[float], None]
 ) -> tuple[list[Pair], list[Dropped]]:
-    """Pairs of views, and images without one; live cameras are simultaneous."""
+    """Pairs of views, and images without one."""
     if [is_live(s) for s in (*left, *right)] == [True, True]:
         sides = _Gathered(board), _Gathered(board)
         for taken in live([*left, *right]):
@@ -74,7 +74,7 @@ def gather_pairs(
 
 
 def pair(left: Sequence[Keyed], right: Sequence[Keyed]) -> tuple[list[Pair], list[Dropped]]:
-    """Views of equal key or nearest time, and the others. Raises CalibrationError for no pair."""
+    """Views of equal key or nearest time, and the others. Raises CalibrationError."""
     keys = dict(right)
     if len(keys) < len(right) or len({key for key, _ in left}) < len(left):
         raise CalibrationError("two images of one camera have the same number; number them 01, 02, ... as their partners")

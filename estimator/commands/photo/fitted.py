@@ -68,7 +68,7 @@ def turns_left(path: Path, camera: "CameraModel", turns: int) -> int:
 
 
 def at_width(camera: "CameraModel", width: int) -> "CameraModel":
-    """The camera at another width; u + 1/2 is scaled."""
+    """The camera at another width."""
     import msgspec
     import numpy as np
 

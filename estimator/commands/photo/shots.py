@@ -47,7 +47,7 @@ class Given(NamedTuple):
 
 
 class Shot(NamedTuple):
-    """An image or a pair; follows: a video frame, prior at the last fix."""
+    """follows: a video frame, prior at the last fix."""
 
     name: str
     t_ns: int
@@ -58,7 +58,7 @@ class Shot(NamedTuple):
 
 
 class Shots(NamedTuple):
-    """rig, its images one by one, at most `total`; remarks: assumptions, a line each."""
+    """Images one by one, at most `total`; remarks: assumptions."""
 
     rig: StereoRig
     total: int
@@ -95,7 +95,7 @@ def check(given: Given) -> None:
 
 
 def take(given: Given, frame: Origin, ground_d: Callable[[float, float], float]) -> Shots:
-    """Rig, images, priors; ground_d(north, east): down of the ground. Raises CalibrationError, BadParameter."""
+    """ground_d(north, east): down of the ground. Raises CalibrationError, BadParameter."""
     files = [Path(name) for name in image_source.files_of([str(path) for path in given.files])]
     if given.rig is not None and given.prior:
         rig = load_cameras(given.rig, given.mount)

@@ -176,7 +176,7 @@ def _sigma(xmp: Mapping[str, str]) -> tuple[float, float] | None:
 
 
 def _dewarp(text: str) -> tuple[float, ...] | None:
-    """The numbers of DJI's DewarpData, "date;fx,fy,cx,cy,k1,k2,p1,p2,k3"."""
+    """DJI's DewarpData, "date;fx,fy,cx,cy,k1,k2,p1,p2,k3"."""
     numbers = [_number(part) for part in text.rpartition(";")[2].split(",")]
     found = tuple(n for n in numbers if n is not None)
     return found if len(found) == len(numbers) == _DEWARP_NUMBERS and min(found[:2]) > 0.0 else None

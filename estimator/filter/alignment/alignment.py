@@ -154,7 +154,7 @@ class Alignment:
         return Decision(Reason.ALIGNING, detail=NO_POSITION)
 
     def note_course(self, z: Velocity, samples: ImuBuffer) -> None:
-        """Use the course as a prior if there is no better one."""
+        """Use the course as a prior without a better one."""
         core = self.core
         stretch = core.recent(samples) if core.config.initialise.course_sigma_deg else None
         if stretch is None or (self.prior is not None and core.t_ns - self.prior[0] <= _FRESH_NS):

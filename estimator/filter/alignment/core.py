@@ -23,7 +23,7 @@ _AIDED_NS: Final = 3_000_000_000  # after a position; then the mode is dead_reck
 
 
 class Decision(NamedTuple):
-    """Decision on a measurement, independent of arrival.
+    """Decision on a measurement.
 
     position: innovation and sigma, (3,) each, NED m, or None.
     """
@@ -37,7 +37,7 @@ class Decision(NamedTuple):
 
 
 class Core:
-    """Hypotheses and the constants of their motion, at t_ns."""
+    """Hypotheses and the constants of their motion."""
 
     def __init__(self, config: TrackerConfig) -> None:
         self.config = config
@@ -77,7 +77,7 @@ class Core:
         return samples.u[begin:end]
 
     def last_sample(self, samples: ImuBuffer) -> Array | None:
-        """The last sample up to now, (6,), final; None in a gap."""
+        """The last sample up to now, (6,); None in a gap."""
         last = samples.first_after(self.t_ns) - 1
         return samples.u[last] if last >= 0 and self.t_ns - samples.t_ns[last] <= self.gap_ns else None
 
@@ -89,14 +89,14 @@ class Core:
         return imu.interpolate(samples.t_ns, samples.u, samples.count, index, self.t_ns)
 
     def note_variance(self, aid: Aid, seen: Innovation, largest: float | None = None) -> None:
-        """One more innovation of an absolute source, of the leading filter."""
+        """One more innovation of an absolute source."""
         assert self.hypotheses is not None
         distance2 = seen.distance2 * self.variance_factor.value
         self.variance_factor = self.variance_factor.also(aid.topic, aid.t_ns, distance2, len(seen.nu), largest)
         self.hypotheses.scale(self.variance_factor.value)
 
     def relinearise(self, stretch: Stretch, samples: ImuBuffer) -> Stretch:
-        """Relinearise the leading filter; the stretch with the run noted, where it succeeded."""
+        """Relinearise the leading filter; the stretch, where it succeeded."""
         assert self.hypotheses is not None
         try:
             result = relinearise(stretch, self.hypotheses.lead, samples)

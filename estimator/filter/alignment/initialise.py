@@ -36,7 +36,7 @@ _HOPELESS = 12.0  # ln: a heading so far behind is dropped
 
 
 class InitialiseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """[initialise]: assumptions before the start, and conditions for the first estimate."""
+    """[initialise]: assumptions and conditions for the first estimate."""
 
     velocity_sigma_m_s: Annotated[float, Meta(ge=1e-3, le=1000, description="m/s: of the unknown velocity at the start")] = 10.0
     gyro_bias_sigma: Annotated[float, Meta(ge=1e-6, le=10, description="rad/s: of the gyro bias at the start")] = 0.05
@@ -203,7 +203,7 @@ def evidence(bank: Hypotheses, aid: Aid, z: Measurement, gyro_b: Array) -> float
 
 
 def weigh(bank: Hypotheses, aid: Aid, z: Measurement, gyro_b: Array) -> Innovation:
-    """Fuse in every heading and weigh it by its prediction; the innovation of the best."""
+    """Fuse in every heading and weigh it; the innovation of the best."""
     best_seen: Innovation | None = None
     for member in bank.members:
         seen = innovation(member.filter, aid, z, gyro_b)

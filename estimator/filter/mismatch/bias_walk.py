@@ -52,7 +52,7 @@ class Whiteness(NamedTuple):
 
 
 class BiasWalk(NamedTuple):
-    """Innovations by topic, and the factor on the variance per second, since t_ns."""
+    """Innovations by topic, factor on the variance per second."""
 
     sources: tuple[tuple[str, Whiteness], ...] = ()
     factor: float = 1.0

@@ -69,7 +69,7 @@ class Moments(NamedTuple):
 
 
 class PathScale(NamedTuple):
-    """Newest GNSS reading (time, position), moments by topic of fixes, last scales."""
+    """Newest GNSS reading, moments by topic of fixes, last scales."""
 
     topic: str = ""
     last: tuple[int, Array] | None = None

@@ -1,4 +1,4 @@
-"""Common form of all formats: outer rings in degrees with properties; the place wanted."""
+"""Outer rings in degrees with properties."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -12,7 +12,7 @@ METRES_A_DEGREE = 111_320.0  # of latitude; of longitude at the equator
 
 
 class Footprint(NamedTuple):
-    """ring: (n, 2) longitude, latitude [deg], without holes; id: of the source, empty for none."""
+    """ring (n, 2): longitude, latitude [deg]; id: of the source, or empty."""
 
     ring: Array
     properties: Mapping[str, Any]

@@ -26,7 +26,7 @@ MOST: Final = 1_000_000  # landmarks of a map
 
 
 class Source(NamedTuple):
-    """A data set: name, required attribution, horizontal sigma of a footprint [m]."""
+    """A data set; sigma: of a footprint, horizontally [m]."""
 
     name: str
     attribution: str

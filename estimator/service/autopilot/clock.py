@@ -33,7 +33,7 @@ class AutopilotClock:
         return now_ns
 
     def answer(self, ts1: int, tc1: int, now_ns: int) -> None:
-        """Somebody's question was answered; ours counts, once."""
+        """A question was answered; ours counts, once."""
         if ts1 not in self._asked:
             return
         self._asked.remove(ts1)

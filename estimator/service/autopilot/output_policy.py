@@ -85,7 +85,7 @@ class OutputPolicy:
 
     @property
     def most_radius_m(self) -> float:
-        """95 % radius beyond which odometry is unusable."""
+        """95 % radius of usable odometry."""
         return self._config.most_radius_m
 
     def note(self, outputs: Iterable[Output]) -> bool:
@@ -163,7 +163,7 @@ def _has_stepped(before: Estimate, p_before: Vec3, now: Estimate, p_n: Vec3) -> 
 
 
 def newest(outputs: Sequence[Output]) -> Estimate | None:
-    """The newest estimate among outputs, None without a heading, which no message can omit."""
+    """The newest estimate among outputs, None without a heading."""
     known = (o for o in reversed(outputs) if isinstance(o, Estimate) and o.mode is not Mode.ALIGNING_HEADING)
     return next(known, None)
 

@@ -63,7 +63,7 @@ class Clock:
         return self.anchor_ns + self._steady()
 
     def wall_ahead_ns(self) -> int | None:
-        """Step of the wall clock since the start; None where the reading was interrupted."""
+        """Step of the wall clock since the start, or None."""
         before = self._steady()
         wall = self._wall()
         after = self._steady()

@@ -79,7 +79,7 @@ class FolderLock:
 
 
 def torn_logs(folder: Path) -> list[Path]:
-    """Torn logs of a folder, oldest first."""
+    """Torn logs, oldest first."""
     return [path for path in sorted(folder.glob("landfix-*.mcap")) if is_torn(path)]
 
 
@@ -93,7 +93,7 @@ def recover_in_background(folder: Path) -> subprocess.Popen[bytes] | None:
 
 
 def is_torn(path: Path) -> bool:
-    """Whether it is an MCAP file (no link) without proper end."""
+    """An MCAP file (no link) without proper end."""
     try:
         if not stat.S_ISREG(path.lstat().st_mode):
             return False

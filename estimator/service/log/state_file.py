@@ -80,7 +80,7 @@ def _absurd(saved: SavedState, wall_ns: int, steady_ns: int) -> str:
 
 
 def clock_of(saved: SavedState | None) -> Clock:
-    """The last daemon's clock within one boot, else a new one."""
+    """The last daemon's clock within a boot, or a new one."""
     return Clock(saved.anchor_ns) if saved and saved.boot and saved.boot == boot_id() else Clock()
 
 

@@ -25,7 +25,7 @@ class FlowRange:
         self._estimate: Estimate | None = None
 
     def note_finder(self, t_ns: int, metres: float) -> None:
-        """Note a downward range; infinite: no echo."""
+        """Infinite: no echo."""
         self._finder = t_ns, metres
 
     def note_estimate(self, estimate: Estimate) -> None:

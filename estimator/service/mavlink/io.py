@@ -56,7 +56,7 @@ def opened(address: Udp | Serial) -> Endpoint:
 
 
 class UdpEndpoint:
-    """Datagrams: a listening socket answers the given peer; others hear only theirs."""
+    """Datagrams: a listening socket answers the given peer."""
 
     whole = True
     state = "open"

@@ -20,7 +20,7 @@ def camera(steps: CameraSteps, message: Any, t_ns: int) -> list[OdometryDelta]:
 
 
 def flow(steps: FlowSteps, message: Any, t_ns: int, at: Range | None) -> list[OdometryDelta]:
-    """OPTICAL_FLOW_RAD at the range `at`; quality 0: none. Raises ValueError."""
+    """OPTICAL_FLOW_RAD at range `at`; quality 0: none. Raises ValueError."""
     turn = np.array([message.integrated_xgyro, message.integrated_ygyro, message.integrated_zgyro])
     seen = np.array([message.integrated_x, message.integrated_y])
     return steps.add(t_ns, message.integration_time_us * _US_NS, seen, turn, at) if message.quality else []

@@ -1,4 +1,4 @@
-"""Questions to an autopilot on the ground: type, version, parameters, EKF origin."""
+"""Questions to an autopilot on the ground."""
 
 import struct
 import time

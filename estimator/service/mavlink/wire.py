@@ -1,4 +1,4 @@
-"""pymavlink's codec with filters by sender and message, signatures, and bounded memory."""
+"""pymavlink's codec with filters, signatures, bounded memory."""
 
 import hmac
 import math
@@ -44,7 +44,7 @@ class Wire(mavlink.MAVLink):  # type: ignore[misc]
             self.signing.timestamp = max(0, now_ns - _EPOCH_2015_NS) // _TICK_NS
 
     def messages(self, data: bytes, *, whole: bool) -> Iterator[Any]:
-        """Wanted messages in the data; whole: no frame continues in the next data."""
+        """Wanted messages; whole: no frame continues in the next data."""
         try:
             found = list(self._found(data))
         except Exception:  # IndexError, MAVError ... of the parser itself: what has come is counted as damaged
@@ -95,7 +95,7 @@ class Wire(mavlink.MAVLink):  # type: ignore[misc]
         return data
 
     def decode(self, frame: bytearray) -> Any:
-        """Only wanted messages are decoded, checksum included."""
+        """Wanted messages only, checksum included."""
         if frame[0] == _V1:
             system, component, number = frame[3], frame[4], frame[5]
         elif len(frame) >= _HEADER_V2:

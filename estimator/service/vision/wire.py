@@ -34,7 +34,7 @@ class Question(msgspec.Struct, frozen=True, tag=True):
 
 
 class Drawing(msgspec.Struct, frozen=True, tag=True):
-    """Request for the last image with the map drawn; mode: of the newest estimate."""
+    """Request for the last image with the map drawn."""
 
     mode: str
 

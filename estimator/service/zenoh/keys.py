@@ -51,7 +51,7 @@ def subscriber_token(domain: int, zid: str, node: str, entity: int, topic: str, 
 
 
 def publisher_tokens(topic: str) -> str:
-    """Token expression of a topic's publishers on any domain."""
+    """Tokens of a topic's publishers on any domain."""
     return f"@ros2_lv/*/*/*/*/MP/*/*/*/%{topic.strip('/').replace('/', '%')}/**"
 
 

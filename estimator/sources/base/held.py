@@ -20,7 +20,7 @@ _NAMES = ("gyroscope x", "gyroscope y", "gyroscope z", "accelerometer x", "accel
 
 
 def content(z: Measurement, other: bytes) -> bytes:
-    """Compared value without accuracy; other: of non-sensors."""
+    """Compared value without accuracy."""
     match z:
         case Pose():
             return z.z_n.tobytes() + z.q_nb_wxyz.tobytes()

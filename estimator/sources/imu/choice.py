@@ -79,7 +79,7 @@ class Choice:
         self._apart_ns: int | None = None  # since then the leader and another contradict each other
 
     def remark(self, t_ns: int) -> str:
-        """For Health: why another IMU leads, and contradictions."""
+        """Why another IMU leads, and contradictions."""
         since_ns, doubt = self._doubt
         return "; ".join(filter(None, (self.why, doubt if t_ns - since_ns < _DOUBT_NS else "")))
 
@@ -93,7 +93,7 @@ class Choice:
         return not self.is_used or sample.topic == self.leader or sample.topic not in self._streams
 
     def states(self, t_ns: int) -> dict[str, str]:
-        """For Health: leading, standby, failed or silent, by topic."""
+        """leading, standby, failed or silent, by topic."""
         return {topic: self._state(topic, t_ns) for topic in self._topics} if self.is_used else {}
 
     def _state(self, topic: str, t_ns: int) -> str:
@@ -191,7 +191,7 @@ class Choice:
 
 
 def imu_aid(change: TakeOver, t_ns: int, arrived_ns: int, unknown: tuple[float, float], factor: float = 1.0) -> ImuAid:
-    """The change as a measurement at t_ns; unknown: initial sigma of gyro and accelerometer bias."""
+    """The change as a measurement; unknown: initial bias sigmas."""
     shift, sigma = change.shift, change.sigma
     if shift is None:
         shift, sigma = np.zeros(_AXES), np.sqrt(2.0) * np.repeat(unknown, 3)

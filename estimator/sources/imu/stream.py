@@ -61,7 +61,7 @@ class Stream:
         return min(self._same_since_ns[axis] for axis in axes)
 
     def blocks(self, other: "Stream") -> tuple[list[int], Array]:
-        """Common block numbers in order, and the other's means less these, (k, 6)."""
+        """Common blocks, and the other's means less these, (k, 6)."""
         both = [b for b in self._means if b in other._means]
         if not both:
             return both, np.empty((0, 6))

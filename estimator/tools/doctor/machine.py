@@ -44,7 +44,7 @@ class State(StrEnum):
 
 
 class Check(msgspec.Struct, frozen=True):
-    """One finding; advice: remedy or empty."""
+    """advice: remedy or empty."""
 
     name: str
     state: State

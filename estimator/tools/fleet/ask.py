@@ -34,7 +34,7 @@ def ask(rows: pa.Table, sql: str, joined: pa.Table | None = None) -> Answer:
 
 
 def with_columns(rows: pa.Table, file: Path | None) -> pa.Table:
-    """Rows with columns of a CSV or Parquet file by its column log (addresses or ends). Raises FleetError."""
+    """Rows with columns of a CSV or Parquet file by its column log. Raises FleetError."""
     if file is None:
         return rows
     try:

@@ -25,7 +25,7 @@ Rows = Mapping[str, Any]
 
 
 class Change(NamedTuple):
-    """One flight; worse: largest cost difference of a metric; inf: no result any more."""
+    """worse: largest cost difference of a metric; inf: no result."""
 
     log: str
     metric: str
@@ -88,7 +88,7 @@ def compare(
     budgets: Sequence[str] = (),
     least_percent: float = 1.0,
 ) -> Comparison:
-    """The Comparison; least_percent: smaller changes do not count; by: a column. Raises FleetError."""
+    """least_percent: smaller changes do not count; by: a column. Raises FleetError."""
     if by and by not in rows.column_names:
         raise FleetError(f"--by {by}: no such column; there are {', '.join(rows.column_names)}")
     found = {label: _by_log(rows, label) for label in {*labels, *(noise or ())}}

@@ -28,7 +28,7 @@ Result = TypeVar("Result")
 
 @contextmanager
 def cluster(jobs: int | None, scheduler: str = "") -> Iterator[Client]:
-    """A client of that scheduler, or of `jobs` local processes (None: one a core). Raises FleetError."""
+    """A client of a scheduler, or of `jobs` processes (None: one a core). Raises FleetError."""
     if not scheduler:
         workers = jobs or os.cpu_count() or 1
         with (

@@ -1,4 +1,4 @@
-"""Results as Parquet: RESULTS/label=NAME/*.parquet in any store, each file written whole; `compact` joins them."""
+"""Results as Parquet: RESULTS/label=NAME/*.parquet in any store."""
 
 import types
 from collections.abc import Iterable, Iterator, Sequence

@@ -56,7 +56,7 @@ def is_stored(address: str) -> bool:
 
 
 def local_path(address: str) -> Path:
-    """Local file of a log: itself, or fsspec's copy, once a process. Raises FleetError."""
+    """Local file of a log, or fsspec's copy. Raises FleetError."""
     if not is_stored(address):
         return Path(address)
     try:

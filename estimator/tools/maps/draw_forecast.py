@@ -1,4 +1,4 @@
-"""The forecast drawn: the route coloured by predicted radius, and the radius along it."""
+"""The forecast drawn: the radius along the route."""
 
 import numpy as np
 from matplotlib.collections import LineCollection

@@ -81,7 +81,7 @@ class Forecast(msgspec.Struct, frozen=True):
 
 
 class Moment(msgspec.Struct, frozen=True):
-    """An image or a second. k: sample; p_n: estimate [m]; fixed: a fix came."""
+    """k: sample; p_n: estimate [m]; fixed: a fix came."""
 
     k: int
     radius95_m: float
@@ -92,7 +92,7 @@ class Moment(msgspec.Struct, frozen=True):
 
 
 class Sensors:
-    """Measurements of the vehicle, here without errors; a benchmark adds them."""
+    """Measurements without errors."""
 
     def __init__(self, flight: Flight, origin: Origin, found: float, seed: int = 0) -> None:
         self._flight, self._origin, self._found, self._rng = flight, origin, found, np.random.default_rng(seed)

@@ -38,9 +38,7 @@ def configuration(log: Path, attachments: list[Attachment], given: Path | None) 
 def scenery(
     log: Path, attachments: list[Attachment], given: Path | None, rig_file: Path | None = None, map_file: Path | None = None
 ) -> Scenery:
-    """Cameras and map: named, else of the given configuration, else attached, else named by the attached one. Raises
-    ConfigError.
-    """
+    """Cameras and map: named, of the configuration, attached, or named by the attached one. Raises ConfigError."""
     config = configuration(log, attachments, given)
     with tempfile.TemporaryDirectory() as unpacked:
         attached = {kind: _unpacked(kind, attachments, Path(unpacked)) for kind in _MISSING}

@@ -1,4 +1,4 @@
-"""Fixes of a log on one sheet: images with the map drawn from the fix."""
+"""Fixes of a log on one sheet."""
 
 from collections.abc import Collection, Sequence
 from contextlib import suppress
@@ -99,7 +99,7 @@ def draw_from(
     identified: Collection[str] = (),
     caption: Sequence[str] = (),
 ) -> Canvas:
-    """The left image with the map drawn from a pose; residuals of identified landmarks."""
+    """The left image with the map drawn from a pose."""
     canvas = np.asarray(to_8_bit(image), np.uint8)
     p_nc, R_nc = rig.camera_pose(np.array(pose.p_n), so3.matrix(so3.normalise(np.array(pose.q_nb_wxyz))))
     near = landmarks.near(p_nc[0], p_nc[1], _REACH_M)

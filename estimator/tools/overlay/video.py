@@ -136,7 +136,7 @@ def _rate_hz(wanted: dict[int, View]) -> float:
 
 
 def draw(moments: list[Moment]) -> Figure:
-    """Residual over time with the expected one; number of landmarks."""
+    """Residual over time, expected one, number of landmarks."""
     figure = Figure(figsize=(9.0, 5.5), dpi=120, layout="constrained", facecolor="white")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3.0, 1.0))
     t = np.array([m.t_s for m in moments])

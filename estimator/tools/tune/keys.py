@@ -1,4 +1,4 @@
-"""Keys that `landfix tune` may vary, their range (logarithmic) and their output."""
+"""Keys that `landfix tune` may vary."""
 
 import re
 from collections.abc import Collection, Iterable

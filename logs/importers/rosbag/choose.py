@@ -49,7 +49,7 @@ class Choice:
 
 
 def choose(found: Mapping[str, Survey], others: Mapping[str, str], wanted_imu: str = "") -> Choice:
-    """found: surveyed topics; others: unread ones; wanted_imu: topic. Raises LogError without an IMU."""
+    """found: surveyed; others: unread. Raises LogError without an IMU."""
     notes: list[str] = []
     uses: dict[str, tuple[str, str]] = {}  # topic -> input, remark
     imu, mean_frd = _imu(found, wanted_imu, uses, notes)

@@ -1,4 +1,4 @@
-"""First pass over a bag's sensor topics: rates, stamps, plausibility."""
+"""First pass over a bag's sensor topics."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
