@@ -17,6 +17,7 @@ Array: TypeAlias = NDArray[np.float64]
 
 ATTITUDE_TOPIC: Final = "/attitude"  # of an autopilot's estimate, unless configured otherwise
 ODOMETRY_DELTA_TOPIC: Final = "/landfix/odometry_delta"
+_HIGHEST_M: Final = 50_000.0  # that a receiver gives a position at
 RADIAN_M: Final = 50.0  # metres that count as much as a radian where position and attitude are mixed: a landmark's distance
 
 
@@ -56,6 +57,11 @@ class GnssFix(msgspec.Struct, frozen=True, eq=False):
     status: int = 0
     topic: str = "/gnss"
     state: ReceiverState = ReceiverState.UNKNOWN
+
+    @property
+    def is_on_earth(self) -> bool:
+        """Whether latitude and longitude [deg] and height [m] can be those of a vehicle."""
+        return abs(self.lat_deg) <= 90.0 and abs(self.lon_deg) <= 180.0 and abs(self.alt_m) <= _HIGHEST_M
 
 
 class GnssVelocity(msgspec.Struct, frozen=True, eq=False):

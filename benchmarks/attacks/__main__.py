@@ -5,7 +5,8 @@
 A cell is held where the command ends by itself, within 10 s of CPU and 1 GB, with the right exit code and one line that says
 why; degraded where that is so but for the words; failed otherwise. The last three areas are a daemon's: it starts whatever its
 state file is, loses at most 0.1 s of its log when it is killed, and goes on after each hostile message with estimates in time,
-within 5 m or 5 sigma of the truth; degraded where they are late, or where as much of the log was underway on a busy machine.
+within 5 m of the truth. Failed: more than 1 m and more than 5 sigma off. Degraded: more than 5 m off, which its sigma says;
+late; as much of the log lost as was underway on a busy machine.
 """
 
 import argparse

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from mmap import mmap
 from pathlib import Path
+from threading import Timer
 from typing import Any, Final
 
 import msgspec
@@ -30,8 +31,8 @@ from models.messages import ImuSample, Input
 
 PORT, MAVLINK_PORT = 17461, 17462
 _START_S, _FLOWN_S, _HZ = 120.0, 1.0, 100.0
-_LATE_S, _OFF_M, _OFF_SIGMA, _TRIES, _SETTLE_S = 0.5, 5.0, 5.0, 3, 0.3
-_KILLS, _FLIGHT_S, _MOST_LOST_S, _OTHERS = 10, 4.0, 0.1, 10
+_LATE_S, _OFF_M, _OFF_SIGMA, _SURE_M, _TRIES, _SETTLE_S = 0.5, 5.0, 5.0, 1.0, 3, 0.3
+_KILLS, _FLIGHT_S, _MOST_LOST_S, _OTHERS, _BURST = 10, 4.0, 0.1, 10, 3000
 
 
 class Daemon:
@@ -195,9 +196,9 @@ def messages(folder: Path) -> Iterator[Row]:
             for name, act in cells.items():
                 with suppress(OSError):  # nobody may listen on the line
                     act()
-                why, late = witness.flaw(daemon)
-                verdict = "failed" if why else "degraded" if late else "held"
-                yield Row(area, name, verdict, why or late, 0, 0.0, "")
+                yield Row(area, name, *witness.judged(daemon))
+        for name, act in _bursts(session).items():
+            yield Row("burst", name, *witness.judged(daemon, act))
     done = daemon.stop()
     why = "" if done.code == 0 and "internal" not in done.stderr else f"ended with {done.code}: {done.stderr[-200:]}"
     lines = str(len(done.stderr.splitlines()))
@@ -222,10 +223,15 @@ class _Witness:
         self._vehicle.fly(seconds, _HZ, gnss_hz=5.0, fix_hz=5.0)
         time.sleep(0.2)
 
-    def flaw(self, daemon: Daemon) -> tuple[str, str]:
-        """What is wrong after a second of flight, or three on a busy machine, and what is late."""
+    def judged(self, daemon: Daemon, during: Callable[[], object] | None = None) -> tuple[str, str, int, float, str]:
+        """Verdict, reason, code, CPU and what was measured, after a second of flight, or three on a busy machine.
+
+        during: an attack in flight, where the latest estimate counts instead of the median.
+        """
         time.sleep(_SETTLE_S)  # what the attacker sent under our key is heard too
         self._heard.clear()
+        if during:
+            Timer(0.3 * _FLOWN_S, during).start()
         self.fly(_FLOWN_S)
         tries = 1
         while len(self._heard) < 0.5 * _FLOWN_S * _HZ and tries < _TRIES:
@@ -233,16 +239,32 @@ class _Witness:
             tries += 1
         heard = [(arrived_ns, decode_odometry(data)) for arrived_ns, data in self._heard]
         if not daemon.alive():
-            return "the daemon has ended", ""
+            return "failed", "the daemon has ended", 0, 0.0, ""
         if len(heard) < 0.5 * _FLOWN_S * _HZ:
-            return f"{len(heard)} estimates in {_TRIES * _FLOWN_S:g} s", ""
-        for _, e in heard:
-            off_m = np.abs(np.subtract(e.p_n, truth(e.t_ns)[0]))
-            sigma_m = np.sqrt(np.diag(e.pose_covariance)[:3])
-            if not np.all(off_m < np.maximum(_OFF_M, _OFF_SIGMA * sigma_m)):
-                return f"{np.max(off_m):.1f} m off at a sigma of {np.max(sigma_m):.1f} m", ""
-        late_s = float(np.median([arrived_ns - e.t_ns for arrived_ns, e in heard])) * 1e-9
-        return "", f"{late_s:.2f} s late, {tries} s until they came" if late_s > _LATE_S or tries > 1 else ""
+            return "failed", f"{len(heard)} estimates in {_TRIES * _FLOWN_S:g} s", 0, 0.0, ""
+        late = [1e-9 * (arrived_ns - e.t_ns) for arrived_ns, e in heard]
+        late_s = max(late) if during else float(np.median(late))
+        off_m = np.array([np.abs(np.subtract(e.p_n, truth(e.t_ns)[0])) for _, e in heard])
+        sigma_m = np.array([np.sqrt(np.diag(e.pose_covariance)[:3]) for _, e in heard])
+        said = f"at most {np.max(off_m):.2f} m off and {np.max(off_m / sigma_m):.1f} sigma, {late_s:.3f} s late"
+        if np.any(off_m > np.maximum(_SURE_M, _OFF_SIGMA * sigma_m)):
+            return "failed", f"wrong and sure: {said}", 0, 0.0, said
+        if np.any(off_m > _OFF_M):
+            return "degraded", f"far off, and says so: {said}", 0, 0.0, said
+        if late_s > _LATE_S or tries > 1:
+            return "degraded", f"{late_s:.2f} s late, {tries} s until they came", 0, 0.0, said
+        return "held", "", 0, 0.0, said
+
+
+def _bursts(session: zenoh.Session) -> dict[str, Callable[[], object]]:
+    """3,000 malformed messages at once, in flight."""
+    topics = {"/gnss": schemas.NAV_SAT_FIX, "/gnss/velocity": schemas.TWIST, "/pose_fix": schemas.POSE_FIX, "/imu": schemas.IMU}
+
+    def burst(*names: str) -> Callable[[], object]:
+        keyed = [keys.rmw_key(0, name, topics[name], type_hash(topics[name])) for name in names]
+        return lambda: [session.put(key, os.urandom(20)) for _ in range(_BURST // len(keyed)) for key in keyed]
+
+    return {f"{_BURST} malformed on {name}": burst(name) for name in topics} | {f"{_BURST} malformed on all": burst(*topics)}
 
 
 def _over_zenoh(session: zenoh.Session) -> dict[str, Callable[[], object]]:

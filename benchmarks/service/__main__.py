@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.service import images
-from benchmarks.service.vehicle import ORIGIN
+from benchmarks.service.vehicle import ORIGIN, PERIOD_NS
 from benchmarks.service.watch import children, watch
 from estimator.config import parse
 from estimator.replay.replay import replay
@@ -53,7 +53,14 @@ folder = "{folder / "logs"}"
 
 
 def run(
-    minutes: float, port: int, mavlink_port: int | None, folder: Path, *, awake: bool = False, odometry: bool = False
+    minutes: float,
+    port: int,
+    mavlink_port: int | None,
+    folder: Path,
+    *,
+    awake: bool = False,
+    odometry: bool = False,
+    imu_hz: float = 400.0,
 ) -> dict[str, Any]:
     """One run; what was measured."""
     text = configuration(folder, port, mavlink_port, odometry=odometry)
@@ -68,6 +75,7 @@ def run(
     assert subscriber.stdout is not None
     assert subscriber.stdout.readline() == b"ready\n"
     words = ["--connect", endpoint, "--seconds", str(60.0 * minutes), "--pictures", str(folder / "turn.mcap"), *_ALIGNMENT]
+    words += ["--imu-hz", str(imu_hz)]
     if mavlink_port:
         vehicle = python("benchmarks.service.autopilot", "--to", f"127.0.0.1:{mavlink_port}", *words)
     else:
@@ -141,6 +149,8 @@ def _same(log: Path, text: str, folder: Path) -> bool:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--imu-hz", type=float, default=400.0)
+    parser.add_argument("--image-hz", type=float, default=10.0, help="of the turn that is rendered")
     parser.add_argument("--port", type=int, default=17447)
     parser.add_argument("--odometry", action="store_true", help="visual odometry of every pair")
     parser.add_argument("--mavlink", action="store_true", help="IMU and GNSS over MAVLink, on the UDP port after --port")
@@ -153,11 +163,12 @@ def main() -> None:
         folder = given.keep or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
         if not (folder / "turn.mcap").exists():
-            images.write(folder)
+            images.write(folder, round(given.image_hz * PERIOD_NS * 1e-9))
         if given.realtime:
             os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(2))
         mavlink_port = given.port + 1 if given.mavlink else None
-        result = run(given.minutes, given.port, mavlink_port, folder, awake=given.awake, odometry=given.odometry)
+        more = {"awake": given.awake, "odometry": given.odometry, "imu_hz": given.imu_hz}
+        result = run(given.minutes, given.port, mavlink_port, folder, **more)
     for name, value in result.items() if not given.json else ():
         print(f"{name:24} {value}")
     if given.json:

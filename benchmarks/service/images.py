@@ -38,20 +38,20 @@ _SPEC: Final = WorldSpec(
 _JPEG_QUALITY: Final = 90
 
 
-def write(folder: Path) -> None:
+def write(folder: Path, pairs: int = PAIRS) -> None:
     """Render the turn on all cores."""
     scene = _scene()
     (folder / "map.geojson").write_bytes(scene.map.to_geojson())
     save_rig(folder / "rig.yaml", scene.rig_calibrated)
     with Recorder(folder / "turn.mcap") as recorder:
-        for k, pair in enumerate(_pairs()):
+        for t_ns, pair in _drawn([k * PERIOD_NS // pairs for k in range(pairs)]):
             for message in pair:
-                recorder.write(*message, k * PERIOD_NS // PAIRS)
+                recorder.write(*message, t_ns)
 
 
-def _pairs() -> Iterator[tuple[Encoded, Encoded]]:
+def _drawn(times_ns: list[int]) -> Iterator[tuple[int, tuple[Encoded, Encoded]]]:
     with ProcessPoolExecutor(os.cpu_count(), multiprocessing.get_context("spawn")) as pool:
-        yield from pool.map(_draw, range(PAIRS), chunksize=10)
+        yield from zip(times_ns, pool.map(_draw, times_ns, chunksize=10), strict=True)
 
 
 @cache
@@ -60,10 +60,10 @@ def _scene() -> Scene:
     return make_world(5, _SPEC)
 
 
-def _draw(k: int) -> tuple[Encoded, Encoded]:
-    t_ns, scene = k * PERIOD_NS // PAIRS, _scene()
+def _draw(t_ns: int) -> tuple[Encoded, Encoded]:
+    scene = _scene()
     p_n, _, R_nb = truth(t_ns)
-    left, right = render_pair(scene.world, scene.rig, p_n, R_nb, Conditions(), np.random.default_rng(k))
+    left, right = render_pair(scene.world, scene.rig, p_n, R_nb, Conditions(), np.random.default_rng(t_ns))
     return (
         encode_image(t_ns, left, "/left/image", jpeg_quality=_JPEG_QUALITY),
         encode_image(t_ns, right, "/right/image", jpeg_quality=_JPEG_QUALITY),

@@ -1,4 +1,4 @@
-"""Processor time and memory of running processes, from /proc."""
+"""Processor time, memory, handles and threads of running processes, from /proc."""
 
 import os
 import resource
@@ -15,15 +15,17 @@ class _Reading(NamedTuple):
     s: float
     rss_mb: float
     cpu_s: float
+    handles: int
+    threads: int
 
 
 def watch(processes: dict[str, int], over: Callable[[], bool]) -> dict[str, dict[str, float]]:
-    """Of each process (name -> id) once a second until it is over: share of a core, memory, and how much that grew once warm."""
+    """Of each process (name -> id) each second until it is over: share of a core, memory, handles, threads, growth when warm."""
     readings: dict[str, list[_Reading]] = {name: [] for name in processes}
     while not over():
         for name, pid in processes.items():
             with suppress(FileNotFoundError):  # it is gone
-                readings[name].append(_Reading(time.monotonic(), _rss_mb(pid), _cpu_s(pid)))
+                readings[name].append(_Reading(time.monotonic(), _rss_mb(pid), _cpu_s(pid), *_counts(pid)))
         time.sleep(1.0)
     return {name: _summary(taken) for name, taken in readings.items()}
 
@@ -50,12 +52,22 @@ def _summary(taken: list[_Reading]) -> dict[str, float]:
         "cpu_percent": round(100.0 * share, 1),
         "rss_mb": round(last.rss_mb, 1),
         "rss_growth_mb": round(last.rss_mb - warm.rss_mb, 2),
+        "handles": last.handles,
+        "handles_growth": last.handles - warm.handles,
+        "threads": last.threads,
+        "threads_growth": last.threads - warm.threads,
     }
 
 
 def _rss_mb(pid: int) -> float:
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     return pages * resource.getpagesize() / 1e6
+
+
+def _counts(pid: int) -> tuple[int, int]:
+    """Open files and threads."""
+    handles, threads = (sum(1 for _ in Path(f"/proc/{pid}/{what}").iterdir()) for what in ("fd", "task"))
+    return handles, threads
 
 
 def _cpu_s(pid: int) -> float:

@@ -20,7 +20,6 @@ from models.messages import GnssFix, GnssVelocity, Reason, ReceiverState
 
 _AXES = np.arange(3)
 _FASTEST_M_S = 500.0
-_HIGHEST_M = 50_000.0
 _JAMMED = msgspec.structs.replace(RULES["gnss"], false_share=0.5)  # a receiver that reports jamming: as likely as not
 _NOTHING = np.zeros((3, 3))  # is known of the accuracy
 _NO_ACCURACY = "the receiver gives no accuracy: [gnss] {} taken"
@@ -68,7 +67,7 @@ def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
         return Refusal(Reason.NO_FIX)
     if not all(map(math.isfinite, place)):
         return Refusal(Reason.NOT_FINITE, "position")
-    if abs(fix.lat_deg) > 90.0 or abs(fix.lon_deg) > 180.0 or abs(fix.alt_m) > _HIGHEST_M:
+    if not fix.is_on_earth:
         return Refusal(Reason.IMPLAUSIBLE, "no place on Earth: latitude and longitude are expected in degrees, height in metres")
     if fix.lat_deg == 0.0 and fix.lon_deg == 0.0:
         return Refusal(Reason.NO_FIX, "latitude and longitude are exactly zero")

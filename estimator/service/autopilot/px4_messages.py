@@ -182,20 +182,10 @@ def receiver(data: bytes, geoid_m: float, topic: str) -> tuple[GnssFix, GnssVelo
     status, state = navsat_status(np.array(fix_type)), receiver_state(np.array(jamming), np.array(spoofing))
     covariance = np.diag([eph**2, eph**2, epv**2]) if eph > 0.0 and epv > 0.0 else None
     v_covariance = np.eye(3) * v_sigma**2 if v_sigma > 0.0 else None
-    return (
-        GnssFix(
-            t_ns,
-            t_ns,
-            lat,
-            lon,
-            height_m if given else sea_m + geoid_m,
-            covariance,
-            int(status),
-            topic,
-            ReceiverState(int(state)),
-        ),
-        GnssVelocity(t_ns, t_ns, vec3(v_n), v_covariance, f"{topic}/velocity") if valid else None,
-    )
+    height = height_m if given else sea_m + geoid_m
+    fix = GnssFix(t_ns, t_ns, lat, lon, height, covariance, int(status), topic, ReceiverState(int(state)))
+    velocity = GnssVelocity(t_ns, t_ns, vec3(v_n), v_covariance, f"{topic}/velocity")
+    return fix, velocity if valid and fix.is_on_earth else None
 
 
 def vehicle_odometry(

@@ -133,8 +133,12 @@ def gnss_fix(message: Any, t_ns: int, geoid_m: float, topic: str, state: Receive
 
 
 def gnss_velocity(message: Any, t_ns: int, topic: str) -> GnssVelocity | None:
-    """Speed and course over ground, or None."""
-    if message.fix_type < _FIX_3D or _UNKNOWN in {message.vel, message.cog}:
+    """Speed and course over ground; None: not given, or beside a position that is no place on Earth."""
+    if (
+        message.fix_type < _FIX_3D
+        or _UNKNOWN in {message.vel, message.cog}
+        or not gnss_fix(message, t_ns, 0.0, topic).is_on_earth
+    ):
         return None
     speed, course = 1e-2 * message.vel, math.radians(1e-2 * message.cog)
     variance = (1e-3 * message.vel_acc or _SPEED_SIGMA_M_S) ** 2

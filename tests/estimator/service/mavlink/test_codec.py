@@ -352,6 +352,11 @@ def test_an_unknown_course_or_speed_is_no_velocity() -> None:
     assert codec.gnss_velocity(_gps(vel=65535), T0, "/v") is None
 
 
+def test_beside_a_position_that_is_no_place_on_earth_a_velocity_is_none() -> None:
+    message = mavlink.MAVLink_gps_raw_int_message(5, 3, 2**31 - 1, -(2**31), 0, 0, 0, 0, 0, 12)
+    assert codec.gnss_velocity(_over_the_wire(message), T0, "/v") is None
+
+
 def test_the_second_receiver_is_read_like_the_first() -> None:
     message = mavlink.MAVLink_gps2_raw_message(
         9, 3, 473_977_000, 85_456_000, 488_000, 120, 150, 500, 0, 9, 0, 0, alt_ellipsoid=1000, h_acc=1000, v_acc=2000

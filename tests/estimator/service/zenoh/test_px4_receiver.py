@@ -99,6 +99,9 @@ def test_the_fields_of_each_release_are_read_as_they_were_meant(release: str) ->
     assert velocity.v_n == (1.0, 2.0, -3.0)
     np.testing.assert_array_equal(fix.covariance_n, np.diag([4.0, 4.0, 9.0]))
     np.testing.assert_array_equal(velocity.covariance_n, 0.25 * np.eye(3))
+    elsewhere = px4.receiver(_bytes(release, latitude_deg=214.7), 40.0, "/x")
+    assert elsewhere is not None
+    assert elsewhere[1] is None, "a velocity beside a position that is no place on Earth"
 
 
 @pytest.mark.parametrize(
