@@ -126,7 +126,7 @@ class Fusion:
         return out
 
     def _recover(self, message: Input) -> AidStatus:
-        """From the last sound checkpoint, the next time from nothing."""
+        """Go on from the last sound checkpoint, the next time from nothing."""
         sound = self._history.from_last_sound() if self._failures == _FAILURES else None
         if sound is None:
             return self._restart(None, message.t_ns, message.arrived_ns, Reason.INTERNAL, self._detail)
@@ -305,7 +305,7 @@ class Fusion:
         return []
 
     def _note_lead(self, message: ImuSample | Tick) -> None:
-        """By the quickest message, relaxed by 0.1 s in a second."""
+        """Bound the clock offset by the quickest message, relaxed by 0.1 s in a second."""
         lead_ns = message.t_ns - message.arrived_ns
         if self._lead is not None:
             quickest_ns, noted_ns = self._lead
@@ -372,10 +372,7 @@ class Fusion:
         return out
 
     def _jump(self, last: Estimate, lead: Eskf, published: Array, t_ns: int, *, is_aligned: bool) -> Array | None:
-        """None where within noise.
-
-        published: (15, 15), used without a heading; else the leading filter's.
-        """
+        """Step against the last published estimate; None within noise; published (15, 15): used without a heading."""
         doubt = lead.variance_factor * lead.cov if is_aligned else published
         samples = self._history.samples
         first = samples.first_after(last.t_ns)

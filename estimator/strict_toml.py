@@ -172,7 +172,7 @@ def _unknown(key: str, known: list[str], path: str) -> str:
 
 
 def _explain(message: str, table: Mapping[str, Any]) -> str:
-    """As in "Expected `float` > 0.0 - at `$.imu.gyro_noise`" as "imu.gyro_noise = -1: expected float > 0.0"."""
+    """Turn "Expected `float` > 0.0 - at `$.imu.gyro_noise`" into "imu.gyro_noise = -1: expected float > 0.0"."""
     match = re.fullmatch(r"(?P<what>.*?)(?: - at `\$\.?(?P<path>[^`]*)`)?", message, re.DOTALL)
     what, path = (match["what"], match["path"] or "") if match else (message, "")
     value: Any = table

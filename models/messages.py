@@ -1,4 +1,4 @@
-"""Messages of the estimator: immutable, NED, FRD, SI, radians.
+"""Messages: immutable, NED, FRD, SI, radians.
 
 `t_ns`: validity, `arrived_ns`: arrival; `topic`: source. Wire form: logs/wire/codec.py.
 """
@@ -130,7 +130,7 @@ class ImageName(msgspec.Struct, frozen=True):
 class VisionRequest(msgspec.Struct, frozen=True, eq=False):
     """A search for landmarks in the images of t_ns, with prior.
 
-    covariance: (6, 6) as PoseFix; left, right: or None; run: of the vision process.
+    covariance (6, 6): as PoseFix; run: of the vision process.
     """
 
     t_ns: int
@@ -321,7 +321,7 @@ class AidStatus(msgspec.Struct, frozen=True, eq=False):
 
 
 class Estimate(msgspec.Struct, frozen=True, eq=False):
-    """State with everything of t <= t_ns that has arrived.
+    """State with all of t <= t_ns that has arrived.
 
     nav (16,): packed NavState (X); covariance (15, 15) (E); gyro_b: rate less bias, rad/s.
     """
@@ -379,8 +379,7 @@ class LastGnss(msgspec.Struct, frozen=True, eq=False):
 class Health(msgspec.Struct, frozen=True, eq=False):
     """State of the estimator, 1-10 Hz.
 
-    biases: gyro_x ... accel_z (FRD, rad/s, m/s^2), *_sigma, wind_north, wind_east (m/s) if estimated; weights: ln, of other
-    hypotheses by assumption.
+    biases: gyro_x ... accel_z (FRD, rad/s, m/s^2), *_sigma, wind_north, wind_east (m/s); weights: ln, by assumption.
     """
 
     t_ns: int

@@ -54,7 +54,7 @@ class PipelineConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LandmarkPipeline:
-    """Images of one rig over one map. Raises ValueError for a rig that cannot be rectified."""
+    """Images of one rig over one map. Raises ValueError."""
 
     def __init__(self, rig: StereoRig, landmarks: LandmarkMap, config: PipelineConfig | None = None) -> None:
         c = config or PipelineConfig()

@@ -82,7 +82,7 @@ class _Likely:
     length_m: float
 
     def shows_the_same(self, other: "_Likely") -> bool:
-        """A false match would recur."""
+        """Whether too little of the view is new: a false match would recur."""
         apart = [np.linalg.norm(self.shown_n[0] - shown) for shown in other.shown_n]
         return bool(min(apart) < _NEW_VIEW * self.length_m)
 
@@ -93,7 +93,7 @@ class _Likely:
 
 
 class Recognisers:
-    """Images of one rig over one map. Raises ValueError for a rig that cannot be rectified."""
+    """Images of one rig over one map. Raises ValueError."""
 
     def __init__(
         self, rig: StereoRig, landmarks: LandmarkMap, known: MapImage | None = None, config: RecogniserConfig | None = None
@@ -194,7 +194,7 @@ class Recognisers:
         return _fixed(t_ns, known.image.name, found.pose, (found.tried, found.agreed), evidence)
 
     def _is_confirmed(self, pose: PoseEstimate, peak: Peak, t_ns: int, prior: Prior, views: int) -> bool:
-        """A repeated view confirms nothing."""
+        """Whether `views` views show the same prior error; a repeated view confirms nothing."""
         variance, length_m = np.diag(prior.covariance)[:3], peak.q * self._config.registration.coarse
         now = _Likely(t_ns, pose.joint_p_n - prior.p_n, pose.joint_covariance[:3, :3], variance, (peak.shown_n,), length_m)
         before = self._likely

@@ -41,7 +41,6 @@ def refined(image: Grey, corners: Array, size: Size) -> Array:
 
 
 def _light(image: Grey, px: Array, size: Size) -> Level:
-    """White at each pixel over its mean on the board."""
     middles = middles_of(px, size)
     levels, first = levels_at(image, middles), is_first_kind(size)
     bright = first if levels[first].mean() > levels[~first].mean() else ~first

@@ -1,4 +1,4 @@
-"""Bundle adjustment of one or two cameras and a board, with marginal covariance (covariance.py).
+"""Bundle adjustment of one or two cameras and a board.
 
     x_1 = R x_o + t,   x_k = R_k x_1 + t_k,   px = pi_k(x_k) + e        (o = board, 1 = first camera)
 
@@ -171,7 +171,6 @@ def _terms(problem: Problem, i: int, mask: NDArray[np.bool_]) -> _Terms:
 
 
 def _bow_modes(x_o: Array) -> Array:
-    """x^2, x y, y^2 (N, 3) [m^2]."""
     x, y = x_o[:, :2].T
     return np.column_stack((x * x, x * y, y * y))
 

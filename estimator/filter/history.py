@@ -1,4 +1,4 @@
-"""Exact rewind: the estimate is a function of the set of measurements, ordered by validity, never by arrival.
+"""Exact rewind: the estimate is a function of the set of measurements, ordered by validity.
 
 A late measurement returns the tracker to the checkpoint before it, gates and source machines included: late = punctual, to the
 bit. Checkpoints stand at IMU samples and aids only.
@@ -188,7 +188,7 @@ class History:
             self._hand_over()
 
     def _hand_over(self) -> None:
-        """Unless that would end a published estimate."""
+        """Publish from the caught-up tracker, unless that would end a published estimate."""
         ahead = self._ahead
         if ahead is None:
             return

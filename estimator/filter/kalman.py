@@ -1,4 +1,4 @@
-"""The Kalman update: filterpy's Kalman filter behind one wrapper that checks shapes.
+"""The Kalman update: filterpy's behind one wrapper.
 
     S = H P H^T + R,  K = P H^T S^-1,  dx = K nu,  P <- (I - K H) P (I - K H)^T + K R K^T       (Joseph form)
 

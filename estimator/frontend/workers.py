@@ -11,7 +11,7 @@ from multiprocessing.context import SpawnContext, SpawnProcess
 
 class _Worker(SpawnProcess):
     def start(self) -> None:
-        """With the parent thread's signal mask, after the resource tracker."""
+        """Start with the parent thread's signal mask, after the resource tracker."""
         self.daemon = True  # terminated with this process
         resource_tracker.ensure_running()
         before, held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}), list[int]()

@@ -2,7 +2,7 @@
 
     nominal                  sigma of the leading hypothesis
     a hypothesis             p = exp(w_k) / sum exp(w_j);  offset |x_k - x|, sigma of P_k
-    a source wrong for long  the solution without it: the hypothesis without GNSS, and each newest position of another source
+    a source wrong for long  the hypothesis without GNSS, each newest position of another source
     map, rig, timing, IMU    an offset from the configuration
     a false fix in the gate  offset 4 sigma
 

@@ -2,7 +2,7 @@
 
     m_b = S (z_b - o),   azimuth of R_nb m_b = declination + e + v
 
-Considered errors: h_b of iron on the vehicle, e_0 of the place; tilt errors are part of e_0 (Heading.is_steep):
+Considered: h_b of iron on the vehicle, e_0 of the place and of tilt (Heading.is_steep):
 
     e = e_0 - (d azimuth / d m_b) h_b
 

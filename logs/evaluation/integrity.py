@@ -5,7 +5,7 @@
     PL < e <= AL                                        misleading        unavailable
     AL < e                                              hazardous         unavailable
 
-A level holds until the next, at most a second; the largest error then counts.
+A level holds until the next, a second at most.
 """
 
 from collections import Counter

@@ -153,7 +153,6 @@ def interpolate(trajectory: Trajectory, wanted_ns: Times, longest_ns: int) -> tu
 
 
 def _slerp(q_a: Array, q_b: Array, w: Array) -> Array:
-    """The shorter way from q_a to q_b, (n, 4)."""
     q = np.full_like(q_a, np.nan)
     given = np.isfinite(q_a).all(axis=1) & np.isfinite(q_b).all(axis=1)
     if given.any():

@@ -1,10 +1,10 @@
 """A trajectory file for other programs, format by name.
 
     csv       all columns, a header line, empty: unknown
-    parquet   the same columns with their types (needs pyarrow)                         pandas, DuckDB, Spark
-    tum       t x y z qx qy qz qw; s and m, map ENU, body FLU                           evo, rpg_trajectory_evaluation
-    kml       a line for each stretch of one mode, coloured by mode                     Google Earth, QGIS
-    gpx       one track, a new segment at each gap                                      map and GIS programs
+    parquet   the same columns, typed (needs pyarrow)
+    tum       t x y z qx qy qz qw; s and m, map ENU, body FLU
+    kml       a line for each stretch of one mode
+    gpx       one track, a new segment at each gap
 
 Formats: TUM RGB-D benchmark; OGC 07-147r2 (KML 2.2); Topografix GPX 1.1.
 """

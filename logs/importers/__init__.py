@@ -1,11 +1,10 @@
-"""Logs of other programs -> an MCAP log that landfix replays, and a configuration next to it.
+"""Logs of other programs -> an MCAP log and its configuration.
 
     csv        a folder of CSV files             euroc      the folder layout of ASL data sets
     ulog       PX4                               dataflash  ArduPilot, on board                    tlog   MAVLink, on the ground
     rosbag     ROS 2 and ROS 1 bags, copied message by message
 
-An importer is a module with `read(source, options, progress) -> Recording`, but rosbag. May import logs.store, logs.wire and
-models.
+An importer: `read(source, options, progress) -> Recording`. May import logs.store, logs.wire, models.
 """
 
 from collections.abc import Callable, Iterator

@@ -1,13 +1,12 @@
-"""A folder of CSV files (or .csv.gz): imu.csv, optional gps, baro, mag, airspeed, vision, truth. Columns by header
-(csv_table.py):
+"""A folder of CSV files (or .csv.gz); all but imu.csv are optional; columns by header (csv_table.py):
 
-    imu.csv     t_s, gx_rad_s gy_rad_s gz_rad_s, ax_m_s2 ay_m_s2 az_m_s2          (gyro_x_deg_s, ax_g and the like are converted)
+    imu.csv     t_s, gx_rad_s gy_rad_s gz_rad_s, ax_m_s2 ay_m_s2 az_m_s2          (gyro_x_deg_s, ax_g ... are converted)
     gps.csv     t_s, lat_deg lon_deg alt_m, vn_m_s ve_m_s vd_m_s, status or fix_type, std_n_m std_e_m std_u_m std_v_m_s or hdop
     baro.csv    t_s, pressure_pa or baro_alt_m
-    airspeed.csv t_s, tas_m_s or ias_m_s (true, indicated; a column of baro.csv's other name, airdata.csv, does as well)
-    mag.csv     t_s, mx_ut my_ut mz_ut, in the axes of imu.csv      (T, nT, gauss and mgauss are converted)
+    airspeed.csv t_s, tas_m_s or ias_m_s (true, indicated; also in airdata.csv)
+    mag.csv     t_s, mx_ut my_ut mz_ut, axes of imu.csv      (T, nT, gauss, mgauss are converted)
     truth.csv   t_s, pn_m pe_m pd_m (NED) or px_m py_m pz_m (ENU unless --world says), vn_m_s.. or vx_m_s.., qw qx qy qz
-    vision.csv  as truth.csv: poses that may serve as fixes or as odometry, on request
+    vision.csv  as truth.csv: fixes or odometry, on request
 
 Optional arrived_s; relative stamps count from `t0_unix_ns` in checks.json, else EPOCH_NS.
 """

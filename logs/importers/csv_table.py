@@ -168,7 +168,7 @@ def _over_midnight(t_ns: Times) -> tuple[Times, int]:
 
 
 def _plain(header: str) -> str:
-    """As in "w_RS_S_x [rad s^-1]" -> "w_rs_s_x_rad_s_1"; "field.latitude" -> "latitude"."""
+    """Turn "w_RS_S_x [rad s^-1]" into "w_rs_s_x_rad_s_1", "field.latitude" into "latitude"."""
     return re.sub(r"[^a-z0-9]+", "_", header.strip().lower().removeprefix("field.")).strip("_")
 
 
@@ -242,7 +242,7 @@ def _decimal(cell: str) -> Decimal | None:
 
 
 def _unit_by_size(stamp: float) -> int:
-    """By size since 1970, else seconds."""
+    """ns per unit of a stamp, by its size since 1970, else of seconds."""
     for smallest, unit_ns in ((1e17, 1), (1e14, 10**3), (1e11, 10**6)):
         if stamp > smallest:
             return unit_ns

@@ -4,10 +4,10 @@
     ARSP, indicated                 ->  /airspeed                        RFND, downwards  ->  /range
     GPS with GPA, GPS2              ->  /gnss, /gnss/velocity, /gnss2, /gnss2/velocity; Yaw of the first  ->  /heading
     VISP                            ->  /odometry: poses; a new frame at each Rst
-    VISO                            ->  /odometry_delta: a camera's steps    OF  ->  /optical_flow, over the range finder's range
+    VISO                            ->  /odometry_delta: a camera's steps    OF  ->  /optical_flow
     WENC                            ->  /velocity_body: forward, of the wheels
     SIM with SIM2                   ->  /truth: of ArduPilot's simulator
-    XKF1, NKF1 or EKF1              ->  /truth where there is no SIM: the autopilot's own estimate, for reference only;
+    XKF1, NKF1 or EKF1              ->  /truth without SIM: the autopilot's estimate, a reference only;
                                         its attitude  ->  /attitude
 
 t_ns of a fix: receiver week time on the log's clock, the fastest fix without delay; common delay: `delay_s`.
@@ -224,7 +224,7 @@ def _variances(gps: Mapping[str, Array], gpa: Mapping[str, Array] | None) -> tup
 
 
 def _receiver_time_us(table: Mapping[str, Array]) -> Array:
-    """Arrival less excess over the fastest around [us]."""
+    """Fix times on the log's clock [us]: arrival less excess over the fastest around."""
     arrived_us = table[_TIME]
     week, week_ms = (np.where(np.isnan(table[new]), table[old], table[new]) for new, old in (("GWk", "Week"), ("GMS", "TimeMS")))
     dated = np.flatnonzero(week > 0)

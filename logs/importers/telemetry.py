@@ -111,7 +111,7 @@ def _of(component: int, rows: Mapping[int, list[list[float]]]) -> list[list[floa
 
 
 def _open(source: Path) -> Any:
-    """At the first frame, which decides the MAVLink version."""
+    """A reader at the first frame, which decides the MAVLink version."""
     try:
         with opened(source) as file:
             frame = _FRAME.search(file.read(_BEGINNING))

@@ -5,13 +5,13 @@
     GPS_RAW_INT, GPS2_RAW         ->  /gnss, /gnss/velocity, /gnss2, /gnss2/velocity
     SCALED_PRESSURE               ->  /baro, indicated /airspeed                       DISTANCE_SENSOR, downwards  ->  /range
     SIM_STATE                     ->  /truth: of ArduPilot's simulator
-    LOCAL_POSITION_NED, ATTITUDE  ->  /truth where there is no SIM_STATE: the autopilot's own estimate, for reference only;
+    LOCAL_POSITION_NED, ATTITUDE  ->  /truth without SIM_STATE: the autopilot's estimate, a reference only;
                                       ATTITUDE  ->  /attitude
     WHEEL_DISTANCE                ->  /velocity_body: forward, of all wheels
     ODOMETRY                      ->  /odometry: poses of a camera or lidar; a new frame at each reset_counter
     VISION_POSITION_DELTA         ->  /odometry_delta: a camera's steps      OPTICAL_FLOW_RAD  ->  /optical_flow
 
-Which messages, and when they were valid: telemetry.py.
+Stamps: telemetry.py.
 """
 
 from collections.abc import Mapping

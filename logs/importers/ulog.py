@@ -1,14 +1,14 @@
 """PX4 logs (.ulg), by pyulog.
 
     sensor_combined, else sensor_gyro with sensor_accel  ->  /imu            vehicle_air_data  ->  /baro
-    vehicle_imu of those that sensor_selection does not name, where logged fast enough        ->  /imu2, /imu3
+    vehicle_imu that sensor_selection does not name, if fast enough        ->  /imu2, /imu3
     vehicle_magnetometer, else sensor_mag                ->  /mag
     vehicle_gps_position, else sensor_gps                ->  /gnss, /gnss/velocity, with two antennas /heading
-    *_groundtruth of a simulation, else the estimate of the autopilot       ->  /truth
+    *_groundtruth, else the autopilot's estimate       ->  /truth
     airspeed_validated, else airspeed: true airspeed     ->  /airspeed         distance_sensor, downwards  ->  /range
-    vehicle_attitude                                     ->  /attitude, to begin the alignment with
+    vehicle_attitude                                     ->  /attitude
     vehicle_visual_odometry, else vehicle_mocap_odometry ->  /odometry: poses; a new frame at each reset_counter
-    vehicle_optical_flow                                 ->  /optical_flow: over its range or the range finder's
+    vehicle_optical_flow                                 ->  /optical_flow
 
 Stamps: us since boot; date: time_utc_usec; field names by version (lat 1e-7 deg until v1.14).
 """

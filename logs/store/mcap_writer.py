@@ -131,7 +131,7 @@ class McapWriter:
             self._close_chunk()
 
     def _close_chunk(self) -> None:
-        """The next begins empty in any case."""
+        """Write the chunk; the next begins empty in any case."""
         if not self._entries:
             return
         block, entries = bytes(self._block), self._entries

@@ -238,7 +238,7 @@ class RecordFile:
                 pass
 
     def _skip(self, start: int) -> None:
-        """Definitions lost with it come from the summary."""
+        """Note damage; definitions lost with it come from the summary."""
         self._whole = start + 1
         self.skipped_chunks += 1
         if self.skipped_chunks == 1:

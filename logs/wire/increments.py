@@ -4,7 +4,7 @@ A step is in the body at its end, an increment at its beginning, dR = exp(a):   
 
 Flow f and turn g, rad about x and y of a camera along the body's z, range r:
 
-    dp = exp(g / 2) (r (f_y - g_y), -r (f_x - g_x), 0)         (x and y given; an error of r is one of scale, `systematic`)
+    dp = exp(g / 2) (r (f_y - g_y), -r (f_x - g_x), 0)         (an error of r: scale, `systematic`)
 
 Steps are chained to a least duration. Wheels, rolled s, between counts:
 

@@ -72,7 +72,6 @@ def _field_message(reading: Reading) -> dict[str, Any]:
 
 
 def _azimuth(message: Any) -> _Values:
-    """As two-antenna drivers write it (ENU)."""
     q, covariance = message.orientation, _known(message.orientation_covariance, 3)
     yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
     return (math.remainder(0.5 * math.pi - yaw, 2.0 * math.pi),), None if covariance is None else covariance[2:, 2:]

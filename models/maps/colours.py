@@ -32,7 +32,7 @@ _HEX = re.compile(r"#?([0-9a-f]{3}|[0-9a-f]{6})")
 
 
 def parse(text: str) -> Colour | None:
-    """(blue, green, red) of "#rrggbb", "#rgb" or a CSS name (case, spaces, _ and - ignored), else None."""
+    """(blue, green, red) of "#rrggbb", "#rgb" or a CSS name, else None."""
     word = re.sub(r"[\s_-]", "", text.lower()).replace("grey", "gray")
     if (found := _HEX.fullmatch(_NAMED.get(word, word))) is None:
         return None

@@ -195,7 +195,7 @@ def write(
     automatic: bool = False,
     alike: Alike | None = None,
 ) -> bytes:
-    """The file, a feature a line; positions to 0.1 mm, lengths to 1 mm; alike: ambiguity."""
+    """The file; positions to 0.1 mm, lengths to 1 mm."""
     counts = np.diff(columns.offsets)
     roof_d = np.repeat(columns.base_d - columns.height_m, counts)
     lat, lon, _ = pymap3d.ned2geodetic(columns.vertices[:, 0], columns.vertices[:, 1], roof_d, *origin)

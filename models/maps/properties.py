@@ -77,7 +77,7 @@ class Properties(
 class Attributes(NamedTuple):
     """A landmark without outline. missing: defaulted properties.
 
-    numbers: height_m, height_sigma_m, sigma_m, outline_sigma_m, ground_alt_m (NaN unknown), corner_sigma_m.
+    numbers: height_m, height_sigma_m, sigma_m, outline_sigma_m, ground_alt_m, corner_sigma_m.
     """
 
     numbers: tuple[float, float, float, float, float, float]

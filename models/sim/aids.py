@@ -23,7 +23,7 @@ Stamps = NDArray[np.int64]
 
 
 class Gnss(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A GNSS receiver; triples are north, east, down.
+    """A GNSS receiver; triples: NED.
 
     slow_sigma_m, slow_tau_s: Gauss-Markov; delay_s: a number or [least, most]; stamp_lag_s: lateness of stamps.
     """

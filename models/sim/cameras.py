@@ -10,7 +10,7 @@ Pixels = Annotated[int, msgspec.Meta(ge=64, le=4096)]
 
 
 class Village(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The world below, and the map's errors.
+    """The world, and the map's errors.
 
     area_m: side, spacing_m: between buildings; clear_m: around take-off; painted: strong colours; unmapped, gone: shares.
     """

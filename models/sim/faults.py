@@ -1,4 +1,4 @@
-"""Faults: pure transforms of messages that compose in order of arrival.
+"""Faults: transforms of messages, in order of arrival.
 
 messages' = fault(messages),   applied to messages of the fault's topics with  start_s <= t - epoch < end_s
 """

@@ -1,7 +1,4 @@
-"""A scenario (vehicle, sensors, faults); simulate(scenario, seed) -> messages and truth.
-
-Each sensor has its own random stream.
-"""
+"""A scenario (vehicle, sensors, faults); simulate(scenario, seed) -> messages and truth."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -83,7 +80,7 @@ class Truth:
 class Simulation:
     """Messages in order of arrival, truth, t_ns of false pose fixes.
 
-    imu_noise: of the grade; config_toml: fitting configuration.
+    config_toml: fitting configuration.
     """
 
     messages: list[Input]

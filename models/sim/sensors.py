@@ -33,7 +33,7 @@ class Grade:
 
 
 def _grade(arw: float, gyro_bi: float, vrw: float, accel_bi: float, gyro_turn_on: float, accel_turn_on: float) -> Grade:
-    """Of deg/sqrt(h), deg/h, m/s/sqrt(h), milli-g; turn-on deg/s, milli-g."""
+    """From deg/sqrt(h), deg/h, m/s/sqrt(h), milli-g; turn-on deg/s, milli-g."""
     noise = ImuNoise(
         gyro_noise=math.radians(arw) / 60.0,
         accel_noise=vrw / 60.0,
@@ -53,7 +53,7 @@ GRADES = {
 
 
 class Imu(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """An IMU of a grade; the second group is unknown to the filter (off by default).
+    """An IMU of a grade; the second group is unknown to the filter.
 
     turn_on: factor on the bias; misalignment_deg: of each axis; *_step: quantisation; *_limit: saturation.
     """

@@ -12,7 +12,7 @@ from models.untrusted.toml_text import one_line
 
 @contextmanager
 def refusing(error: type[Exception], name: object, *passed: type[Exception]) -> Iterator[None]:
-    """Raises `error`, one line with name and function, for any other exception but those to pass."""
+    """Raises `error`, one line, for any exception but those to pass."""
     try:
         with np.errstate(all="ignore"):  # numbers that overflow are checked where they are used
             yield

@@ -1,6 +1,6 @@
 """Regions of an image in metres.
 
-    segment -> regions -> correspond (left and right) -> measure;  survey: all of it for a pair
+    segment -> regions -> correspond -> measure;  survey: all of it
 
 Begin with `survey`. May import image.
 """

@@ -188,7 +188,7 @@ def _cells(
     start: tuple[int, int, float, float],
     where: tuple[NDArray[np.bool_], int, float],
 ) -> Match | Unmatched:
-    """Twice: the second time along the first plane."""
+    """Cells and their plane, twice: the second time along the first plane."""
     (disparity, vertical, score, gain), (mask, rim, blur) = start, where
     left, right = pair.grey(0)
     corner = (region.bbox[0] - rim, region.bbox[1] - rim)

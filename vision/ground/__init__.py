@@ -1,4 +1,4 @@
-"""Position by a georeferenced image: registration and features.
+"""Position by a georeferenced image.
 
 Begin with `registration`. May import pose and what is below it.
 """

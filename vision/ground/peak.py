@@ -109,7 +109,6 @@ def _moved(peak: Peak, map_image: GroundImage, config: PeakConfig) -> float:
 def _fit(
     rig: StereoRig, prior: Prior, map_image: GroundImage, found: tuple[Array, Array, Array], moved_m: float
 ) -> PoseEstimate | str:
-    """found: ground at a pixel by the prior, map position, covariance (2, 2)."""
     seen_n, shown_n, C = found
     p_nc, R_nc = rig.camera_pose(prior.p_n, prior.R_nb)
     x_c = ((seen_n - p_nc) @ R_nc)[None]

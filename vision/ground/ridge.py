@@ -32,9 +32,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Ridge:
-    """On the ground: normal_n (2,): measured direction; seen_n (3,): evidence by the prior; shown_n (2,): by the map; sigma_m:
-    across.
-    """
+    """normal_n (2,): measured direction; seen_n (3,): evidence by the prior; shown_n (2,): by the map; sigma_m: across."""
 
     normal_n: Array
     seen_n: Array

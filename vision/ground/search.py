@@ -158,7 +158,6 @@ def _turns(grid: Grid, prior: Prior, height: float, reach_sigma: float) -> tuple
 
 
 def _ellipse(extent: Array, reach: int) -> Mask:
-    """Shifts d (2 reach + 1, 2 reach + 1) with d^T extent^-1 d <= 1."""
     d = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1.0)] * 2), axis=-1)
     inside: Mask = np.einsum("ijk,kl,ijl->ij", d, np.linalg.inv(extent), d) <= 1.0
     return inside

@@ -1,4 +1,4 @@
-"""Which landmark a region is: likelihoods, assignment, ambiguity, clutter.
+"""Which landmark a region is.
 
 Begin with `identify`. May import describe and image.
 """

@@ -84,7 +84,7 @@ def _apart(steps: Array, least_m: float) -> Array:
 
 
 def _as_turned(one: Landmark, other: Landmark) -> bool:
-    """Sides of a nearly square one may be exchanged."""
+    """Whether orientations agree; sides of a nearly square one may be exchanged."""
     half_turn = math.pi if one.length_m > _OBLONG * one.width_m else 0.5 * math.pi
     apart = (one.orientation_rad - other.orientation_rad + 0.5 * half_turn) % half_turn - 0.5 * half_turn
     return abs(apart) < _TURNED_RAD

@@ -60,7 +60,7 @@ def identify(
 ) -> Identification:  # fmt: skip
     """Identify regions as landmarks near the prior.
 
-    scale_sigma: relative depth error common to all regions; metric=False: one camera, arms end on the mean roof's plane.
+    scale_sigma: common relative depth error; metric=False: one camera.
     """
     config = config or IdentifyConfig()
     several = list(sightings)
@@ -92,7 +92,6 @@ def identify(
 
 
 def _roof_scale(sightings: list[Sighting], landmarks: Catalogue, prior: Prior) -> Array:
-    """Factor (M, J) by which an arm ends on each roof."""
     down = np.array([max(s.arm_n[2], 1e-3) for s in sightings]).reshape(-1, 1)
     return np.asarray(np.maximum((landmarks.position_n[None, :, 2] - prior.p_n[2]) / down, 1e-3))
 

@@ -21,7 +21,7 @@ _GATE = 30.0  # chi-square of 3: a position further off than this is not followe
 
 
 def similarities(sightings: list[Sighting], landmarks: Catalogue, scale: Array) -> Array:
-    """Eq. 5.5 of each region and landmark (M, J); scale (M, J): factor on the region's lengths."""
+    """Eq. 5.5 of each region and landmark (M, J); scale (M, J): on lengths."""
     s = np.array([(r.size_m2, r.width_m, r.length_m, r.fill_ratio) for r in sightings]).reshape(-1, 1, 4)
     factor = np.stack([scale**2, scale, scale, np.ones_like(scale)], axis=-1)
     return similarity(s * factor, landmarks.description[None], landmarks.weights[None])
@@ -33,7 +33,7 @@ def options(
 ) -> Options:  # fmt: skip
     """Not in the map, and each candidate (M, J), measured well or badly.
 
-    covariance (7, 7) of x; scale (M, J): factor on the region's lengths.
+    covariance (7, 7) of x; scale (M, J): on lengths.
     """
     b = assumptions
     arm = np.array([r.arm_n for r in sightings]).reshape(-1, 3)

@@ -17,7 +17,7 @@ def median(image: Image, window: int = 5) -> Image:
 
 
 def limits(image: Image, clip: float = 0.01) -> tuple[float, float]:
-    """c, d of the stretch: levels with a part `clip` of the pixels beyond, common to channels."""
+    """c, d of the stretch: a part `clip` of the pixels is beyond."""
     low, high = np.percentile(image[::_SAMPLE, ::_SAMPLE], (100.0 * clip, 100.0 * (1.0 - clip)))
     return float(low), float(high)
 
@@ -33,7 +33,7 @@ def stretch(image: Image, clip: float = 0.01, margin: float = 0.0) -> NDArray[np
 
 
 def stretch_blocks(image: Image, blocks: int = 4, clip: float = 0.01, min_range: float = 0.1) -> NDArray[np.uint8]:
-    """Stretch in blocks x blocks pieces, c and d interpolated (thesis section 4.2.1.4), over at least `min_range`."""
+    """Stretch in blocks x blocks pieces, c and d interpolated (thesis section 4.2.1.4)."""
     height, width = image.shape[:2]
     least = min_range * max(np.subtract(*limits(image, clip)[::-1]), 1.0)
     c, d = np.empty((blocks, blocks), np.float32), np.empty((blocks, blocks), np.float32)

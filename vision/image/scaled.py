@@ -1,4 +1,4 @@
-"""Images of another size than the calibration's, same aspect ratio: u' + 1/2 = s (u + 1/2)."""
+"""Images of another size: u' + 1/2 = s (u + 1/2)."""
 
 from typing import Final
 

@@ -1,4 +1,4 @@
-"""A map from a flight: regions seen repeatedly become landmarks.
+"""A map from a flight.
 
 Begin with `mapping`. May import identify and what is below it.
 """

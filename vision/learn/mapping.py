@@ -67,7 +67,7 @@ class Observation:
     ray: Array
 
     def outline_at(self, down: float) -> Array:
-        """(K, 2) north, east of the outline on the level plane there, anticlockwise seen from above."""
+        """(K, 2) north, east, anticlockwise from above."""
         points = np.ascontiguousarray((self.p_nc + self.rays * (down - self.p_nc[2]))[:, :2])
         return points if polygon.area(points) > 0.0 else np.ascontiguousarray(points[::-1])
 
@@ -223,7 +223,6 @@ class Mapper:
         return float(off @ np.linalg.solve(S, off) + np.sum(sides**2 / (2.0 * sigma**2))) < _quantile(self.config.gate, 5)
 
     def _associated(self, observations: Sequence[Observation]) -> list[int]:
-        """Track row per observation, -1: none."""
         if not observations or not self.tracks:
             return [-1] * len(observations)
         gate = _quantile(self.config.gate, 4)
@@ -241,13 +240,11 @@ class Mapper:
         return [chosen.get(i, -1) for i in range(len(observations))]
 
     def _distance(self, one: Observation, track: Track, position: Array) -> float:
-        """Squared Mahalanobis distance in position and sides."""
         S = np.linalg.inv(track.information) + np.linalg.inv(one.ray) + one.F @ one.F.T
         off, sides = one.z - position, one.log_sides - track.log_sides
         return float(off @ np.linalg.solve(S, off) + np.sum(sides**2 / (2.0 * one.log_sigma**2)))
 
     def _keep_joint(self, observations: Sequence[Observation], chosen: dict[int, int]) -> None:
-        """Drop pairs until the rest agrees jointly."""
         while len(chosen) > 1:
             pairs = list(chosen.items())
             off = np.concatenate([observations[i].z - self.tracks[j].position for i, j in pairs])

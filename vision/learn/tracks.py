@@ -32,7 +32,7 @@ class KeepConfig(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Learned:
-    """Landmarks, images of each, tracks left out by reason; common (3, 3): covariance common to the map."""
+    """Landmarks, images of each, tracks left out; common (3, 3): covariance common to the map."""
 
     landmarks: list[Landmark]
     seen: list[int]

@@ -18,7 +18,7 @@ _COLUMNS, _ROWS = 12, 8
 
 
 def corners(image: Image, mask: Mask | None, wanted: int) -> Array:
-    """(N, 2) pixels (u, v), N <= wanted, in the order of the cells.
+    """(N, 2) pixels (u, v), N <= wanted, by cells.
 
     image (H, W) uint8; mask: 0 where no corner may be.
     """

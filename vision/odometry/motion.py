@@ -278,7 +278,7 @@ def _with_plane(
 
 
 def _weights(distances: Array, guided: bool) -> tuple[Array, float]:
-    """Cauchy; guided: Geman and McClure; and residual scale."""
+    """Weights (N,): Cauchy; guided: Geman and McClure; and residual scale."""
     if guided:
         redescending: Array = 1.0 / (1.0 + distances / _GUIDED**2) ** 2
         return redescending, 1.0

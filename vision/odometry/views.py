@@ -31,7 +31,7 @@ class View:
 class Lens:
     """Raw and rectified pixels of one camera.
 
-    maps: of the small image, None for rectified input; scale: its reduction.
+    maps: of the small image, or None; scale: its reduction.
     """
 
     def __init__(self, camera: CameraModel, R_from_c: Array, rectified: CameraModel, maps: Maps | None, scale: int) -> None:

@@ -26,7 +26,7 @@ _SURPRISE = 22.5  # chi-square (6) against the prior from which on the points ar
 
 
 class PointConfig(msgspec.Struct, frozen=True):
-    """gate: chi-square (2) of a point; least: points of a pose; freedom, expected: variance factor's prior."""
+    """gate: chi-square (2); least: points of a pose; freedom, expected: variance factor's prior."""
 
     gate: float = 13.8
     least: int = 8

@@ -78,7 +78,7 @@ class Evidence:
 
     @classmethod
     def of(cls, candidates: list[Candidate], trusted: NDArray[np.bool_], width: int) -> "Evidence":
-        """trusted: (L,) landmarks of the best one that count as seen; width: px of the image."""
+        """trusted (L,): landmarks of the best one that count as seen."""
         best = candidates[0]
         total = max(float(best.length.sum()), 1e-9)
         rival = max((c.score for c in candidates[1:]), default=0.0)

@@ -84,7 +84,7 @@ def with_regions(result: Result, regions: Sequence[RegionReport]) -> Result:
 
 
 def pose_flaw(pose: PoseEstimate, prior: Prior) -> str:
-    """Why a fitted pose is rejected: not a number, or not where the prior may be."""
+    """Why a fitted pose is rejected."""
     total = pose.covariance + pose.covariance_common
     if not (np.isfinite(pose.p_n).all() and np.isfinite(pose.R_nb).all() and np.isfinite(total).all()):
         return "the fit is not finite"

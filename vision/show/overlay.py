@@ -125,7 +125,7 @@ def draw_overlay(
 ) -> Canvas:
     """A copy (H, W, 3) with visible edges and names.
 
-    residuals: strokes of ten times their length; caption: lines at the lower left.
+    residuals: strokes of ten times their length.
     """
     canvas: Canvas = np.array(image if image.ndim == 3 else np.repeat(image[:, :, None], 3, axis=2), order="C")
     scale = max(1.0, min(canvas.shape[:2]) / 480.0)

@@ -66,7 +66,7 @@ class Ground:
 
     @classmethod
     def of_image(cls, image: NDArray[np.uint8], metres_per_px: float, detail_contrast: float = 0.0) -> Self:
-        """An image (H, W, 3) from above, north up, its middle square mirrored on all sides."""
+        """An image (H, W, 3) from above, north up, mirrored on all sides."""
         side = min(image.shape[:2])
         top, left = (image.shape[0] - side) // 2, (image.shape[1] - side) // 2
         size = 1 << (side - 1).bit_length()

@@ -21,7 +21,7 @@ def make_rig(
     distortion: tuple[float, ...] = (-0.08, 0.03, 0.0004, -0.0003),
     exact: bool = False,
 ) -> StereoRig:
-    """A rig with a careful calibration: 0.4 px in f and c, 0.2 mm, 0.02 deg between cameras, 5 mm, 0.1 deg on the body."""
+    """A rig calibrated to 0.4 px in f and c, 0.2 mm, 0.02 deg between cameras, 5 mm, 0.1 deg on the body."""
     camera_sigma = np.array([0.4, 0.4, 0.4, 0.4, *[1e-3, 2e-3, 1e-4, 1e-4, 2e-3][: len(distortion)]])
     covariance = None if exact else np.diag(camera_sigma**2)
     left = CameraModel(width, height, focal_px, focal_px, (width - 1) / 2 + 2.3, (height - 1) / 2 - 1.7, distortion, covariance)

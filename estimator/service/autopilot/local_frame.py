@@ -1,9 +1,8 @@
-"""The autopilot's local frame, metres from its EKF's origin (GPS_GLOBAL_ORIGIN, VehicleLocalPosition), by spherical projection
-(lat, lon in degrees, h above the sea, h0 of the origin):
+"""The autopilot's local frame, metres from its EKF's origin (lat, lon in degrees, h above the sea):
 
     ArduPilot (Location.cpp, get_distance_NE)      north = k (lat - lat0),  k = 111318.845 m
                                                    east  = k (lon - lon0) max(cos((lat + lat0) / 2), 0.01)
-    PX4 (geo.cpp, MapProjection::project)          the azimuthal equidistant projection about the origin, R = 6371000 m:
+    PX4 (geo.cpp, MapProjection::project)          azimuthal equidistant, R = 6371000 m:
                                                    c = arccos(sin lat0 sin lat + cos lat0 cos lat cos(lon - lon0))
                                                    north = R c / sin c (cos lat0 sin lat - sin lat0 cos lat cos(lon - lon0))
                                                    east  = R c / sin c  cos lat sin(lon - lon0)

@@ -4,9 +4,7 @@ Quality, r the 95 % radius, r_max = most_radius_m:
 
     100 ... 1   100 (1 - r / r_max)
       0         only the autopilot's own GNSS and IMU, by own_gnss_quality
-     -1         r >= r_max, no IMU, not aligned, or integrity "do not use" (0 is "unknown" in MAVLink, and used)
-
-The reset counter counts every step of the output.
+     -1         r >= r_max, no IMU, not aligned, or integrity "do not use"
 """
 
 from collections.abc import Iterable, Sequence

@@ -115,7 +115,7 @@ class Offset:
             self.steps += 1
 
     def _observe(self, ahead_ns: int, bound_ns: int, now_ns: int) -> None:
-        """The narrowest bound of a window counts, then the quickest."""
+        """Keep the narrowest bound of a window, then the quickest."""
         reading = (-bound_ns, ahead_ns)
         if not self._best or now_ns - self._since_ns > _WINDOW_NS:
             self._best = [*self._best[-1:], reading]

@@ -272,7 +272,7 @@ class LogWriter:
             self._shared = str(error)
 
     def _end_file(self) -> None:
-        """Without room for them the file is torn, all flushed messages kept."""
+        """Write index and end; without room the file is torn, all flushed messages kept."""
         if self._recorder is not None:
             with contextlib.suppress(LogError):
                 self._recorder.close()

@@ -198,7 +198,7 @@ class Inputs:
         return kind == "HIGHRES_IMU" or (_IMUS[kind] == _coarse_of(autopilot) and self._is_gone(_IMU, now_ns))
 
     def _slow_down(self, now_ns: int) -> None:
-        """ArduPilot denies above 80 % of its loop rate."""
+        """Request less: ArduPilot denies above 80 % of its loop rate."""
         asked_ns = self._asked.get(_IMU, now_ns)
         if self._denied and now_ns - asked_ns > _MISSING_NS and self._heard.get(_IMU, _NEVER) < asked_ns:
             self._imu_us, self._denied = next((us for us in _SLOWER_US if us > self._imu_us), self._imu_us), False

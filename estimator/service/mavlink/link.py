@@ -349,6 +349,6 @@ def _request(system: int, number: int, period_us: int) -> Any:
 
 
 def _request_once(system: int, number: int) -> Any:
-    """PX4 sends its origin when it changes only."""
+    """Ask PX4 for its origin, which it sends only when it changes."""
     command, autopilot = mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAV_COMP_ID_AUTOPILOT1
     return mavlink.MAVLink_command_long_message(system, autopilot, command, 0, number, 0, 0, 0, 0, 0, 0)

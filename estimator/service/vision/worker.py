@@ -272,7 +272,7 @@ class VisionWorker:
         raise MalformedError(f"a malformed answer: {type(answer).__name__}")
 
     def _exchange(self, question: Asked | None, patience_s: float) -> Said | None:
-        """None: dead, or killed. A compiled kernel restarts the time, up to a limit."""
+        """The answer; None: dead, or killed. A compiled kernel restarts the time, up to a limit."""
         assert self._process is not None
         assert self._pipe is not None
         answered, end_s = self._killed_in(patience_s), time.monotonic() + _ALL_COMPILED_S
@@ -291,7 +291,7 @@ class VisionWorker:
             answered.set()
 
     def _killed_in(self, seconds: float) -> threading.Event:
-        """Unless the event is set; time while stopped does not count."""
+        """Kill the process unless the event is set; time while stopped does not count."""
         assert self._process is not None
         answered, process = threading.Event(), self._process
 

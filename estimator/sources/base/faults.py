@@ -1,4 +1,4 @@
-"""Faults as data, for the filter, the conflict of sources and the protection levels.
+"""Faults as data.
 
     source         fault                                 onset                 lasts       size
     any            one false reading                     false_share           -           uniform within what is plausible
@@ -10,7 +10,7 @@
     map            elsewhere than the receiver           MAP_ELSEWHERE         to the end  MAP_ELSEWHERE_M
     map, rig, stamps, IMU, fixes: rates an hour, below, for the protection levels ([integrity] replaces them)
 
-Rates an hour are engineering judgement from the sources that docs/integrity.md names; none is counted in flight.
+Rates an hour: engineering judgement (docs/integrity.md).
 """
 
 from typing import Final

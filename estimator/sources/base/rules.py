@@ -1,11 +1,11 @@
 """How the readings of a source are judged, as data.
 
 gate         nu^T S^-1 nu < chi2(gate_probability), over all components at once
-false_share  of the readings are false, uniform within what is plausible
+false_share  of the readings are false, uniform within the plausible
 probation    readings of a returning source pass the gate before it is fused beside another position
-hold_s       for so long a source is not used that failed its gate or whose innovations drift; 0: it is never held off
-spacing_s    errors of readings closer than this are the same: one of them is fused
-timeout_s    without a reading for so long, the source has stopped
+hold_s       a source is not used after a failed gate or drifting innovations; 0: never held off
+spacing_s    of readings closer than this one is fused
+timeout_s    without a reading the source has stopped
 """
 
 from typing import Final

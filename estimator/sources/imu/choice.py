@@ -1,9 +1,9 @@
 """Several IMUs: one leads, another takes over when it fails (docs/decision.md).
 
-    silent         it sends nothing usable for 0.1 s while another one does (samples that are not finite are not usable)
-    stuck          all of its axes read the same for 0.5 s while another one changes
-    held           one axis reads the same for 0.5 s, as at the end of its range, and another IMU contradicts it
-    contradicted   two others agree with each other, and not with it; or one does not, and positions contradict it, too
+    silent         nothing usable for 0.1 s while another one sends
+    stuck          all axes read the same for 0.5 s while another one changes
+    held           one axis reads the same for 0.5 s, and another IMU contradicts it
+    contradicted   by two others that agree, or by one and by positions
 
     |u_2 - u_1 - d| > threshold + 0.1 |u_1| + 5 s_12            (means over 0.2 s; gyroscope and accelerometer apart)
     b <- b + d,    P_bb <- P_bb + diag(max(s, floor)^2)         (the new IMU's biases)

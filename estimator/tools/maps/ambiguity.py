@@ -47,7 +47,6 @@ def marks(the_map: LandmarkMap, pairs: NDArray[np.intp], distances: Array) -> Al
 
 
 def _repeats(places: Array, pairs: NDArray[np.intp], distances: Array) -> Array:
-    """(N,) m, inf: none."""
     repeats = np.full(len(places), np.inf)
     if not len(pairs):
         return repeats

@@ -1,10 +1,10 @@
 """The messages of a bag as CDR, whatever its storage.
 
-    NAME.mcap, a folder of them        ROS 2; by logs.store, which reads torn files too
+    NAME.mcap, a folder of them        ROS 2; by logs.store
     NAME.db3, a folder of them         ROS 2; by rosbags
     NAME.bag, NAME.bag.active          ROS 1; by rosbags, without an index record by record
 
-The files of a folder are one recording, in the order of their names.
+A folder is one recording, in the order of names.
 """
 
 import re
@@ -180,7 +180,6 @@ def _files(source: Path) -> list[Path]:
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
-    """bag_2 before bag_10."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", path.stem)]
 
 
