@@ -35,7 +35,7 @@ def cut(rig: StereoRig, p_n: Array, R_nb: Array, mark: Landmark) -> bool:
 
 
 def shares(world: World, rig: StereoRig, p_n: Array, R_nb: Array) -> dict[str, float]:
-    """Visible share of each roof's area in the left image; 0 is left out."""
+    """Visible share of each roof's area in the left image."""
     camera, (p_nc, R_nc) = rig.left, rig.camera_pose(p_n, R_nb)
     labels = render_labels(world, camera, p_nc, R_nc)
     found = {}

@@ -95,7 +95,7 @@ def judged(result: Result, sample: Sample, cpu_ms: float | None) -> Answer:
 
 
 def fused(prior: Prior, fix: LandmarkFix) -> tuple[Array, Array]:
-    """p_n = p_0 + (K d)_p, K = P (P + R)^-1, d = fix (-) prior, and its covariance (3, 3)."""
+    """p_n = p_0 + (K d)_p, K = P (P + R)^-1, d = fix (-) prior, and covariance (3, 3)."""
     R = fix.covariance + (0.0 if fix.covariance_common is None else fix.covariance_common)
     turn = so3.quat_log(so3.multiply(np.array(fix.q_nb_wxyz), so3.conjugate(np.ascontiguousarray(prior.q_nb_wxyz))))
     K = np.linalg.solve(prior.covariance + R, prior.covariance).T
@@ -168,7 +168,7 @@ def sift_and_flann(sample: Sample, looked: Looked, surroundings: bool) -> Answer
 
 
 def homography(reference: Looked, looked: Looked) -> Array | None:
-    """Reference -> image (3, 3); None where fewer than ten keypoints agree on one."""
+    """Reference -> image (3, 3); None: fewer than ten keypoints agree."""
     if len(reference.points) < 2 or len(looked.points) < 2:
         return None
     matcher = cv2.FlannBasedMatcher({"algorithm": 1, "trees": 5}, {"checks": 50})

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class TuneError(ValueError):
-    """Nothing to tune with; one line for a person."""
+    """Nothing to tune with."""
 
 
 def command(

@@ -1,4 +1,4 @@
-"""Vision's files: rig, landmark map and the map's image of the configuration."""
+"""Vision's files: rig, landmark map, map image."""
 
 from pathlib import Path
 

@@ -43,7 +43,7 @@ class VisualOdometryConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
 
 
 class KeyFrames:
-    """Chooses pairs and requests them, one at a time, by exposure."""
+    """Chooses pairs and requests them, one at a time."""
 
     def __init__(self, config: VisualOdometryConfig) -> None:
         self._config = config

@@ -68,7 +68,7 @@ class Repeat(ABC):
             self._track.note(outputs)
 
     def records(self, record: Record) -> Iterator[Record]:
-        """Records for the estimator in place of this one, in order."""
+        """Records in place of this one."""
         while self._due and self._due[0][0] <= record.log_time_ns:
             due_ns, answers = self._due.popleft()
             yield from (Record(a.topic, a.schema, due_ns, a.data) for a in answers)
@@ -115,7 +115,7 @@ class Together:
             part.note(kept)
 
     def records(self, record: Record) -> Iterator[Record]:
-        """Records for the estimator in place of this one, in order."""
+        """Records in place of this one."""
         records = [record]
         for part in self.parts:
             records = [seen for one in records for seen in part.records(one)]

@@ -39,7 +39,7 @@ class ImageCounts(msgspec.Struct):
 
 
 class ImageReplay(Repeat):
-    """Vision's answers among the records of a log; left, right: image topics."""
+    """Vision's answers among a log's records."""
 
     counts: ImageCounts
 

@@ -34,7 +34,7 @@ class OdometryCounts(msgspec.Struct):
 
 
 class OdometryReplay(Repeat):
-    """Visual odometry's answers among the records of a log; topics: left, right images."""
+    """Visual odometry's answers among a log's records."""
 
     counts: OdometryCounts
 

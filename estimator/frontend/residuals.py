@@ -1,4 +1,4 @@
-"""Overlay test of a flight: the map projected from the estimate against image edges.
+"""Overlay test: the map projected from the estimate against image edges.
 
 Residual of an image: median over landmarks of Residuals.spread_px.
 """
@@ -76,7 +76,7 @@ class LandmarkRow(msgspec.Struct, frozen=True):
 
 
 class Summary(NamedTuple):
-    """Residuals of all images; with_fix: of those with a fix."""
+    """with_fix: residuals of images with a fix."""
 
     residual_px: Spread | None
     with_fix_px: Spread | None

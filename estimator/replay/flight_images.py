@@ -37,7 +37,7 @@ _CHUNK: Final = 4  # pairs a process draws at a time
 
 @dataclass(frozen=True)
 class Flight:
-    """A scene and the rig's poses; iteration renders the pairs in order of arrival."""
+    """A scene and the rig's poses; iteration renders the pairs."""
 
     cameras: Cameras
     scene: Scene

@@ -1,4 +1,4 @@
-"""Shared by commands: output, sources of images, views of a board.
+"""Shared by commands.
 
-May import calib, logs and vision; no command.
+May import calib, logs, vision.
 """

@@ -37,7 +37,7 @@ class Reported(Protocol):
 
 @contextmanager
 def progress(title: str) -> Iterator[Reported]:
-    """A bar on stderr (terminals only); yields a function of fraction and step."""
+    """A bar on stderr; yields a function of fraction and step."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
@@ -79,7 +79,7 @@ def print_json(value: Any) -> None:
 
 
 def print_table(title: str, rows: "Sequence[Sequence[str | Text]]", header: Sequence[str] = ()) -> None:
-    """Rows under a title; strings verbatim, rich Text coloured."""
+    """Rows under a title."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text

@@ -51,7 +51,7 @@ def read_images(sources: Sequence[str], topic: str, most: int = MOST_FRAMES) -> 
 
 
 def is_video(path: Path) -> bool:
-    """Whether a file is a video, by its name."""
+    """Whether a name is a video's."""
     return path.suffix.lower() in _VIDEOS
 
 

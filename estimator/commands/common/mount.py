@@ -1,4 +1,4 @@
-"""--mount: where a camera sits on the body, as a person says it."""
+"""--mount: where a camera sits on the body."""
 # ruff: noqa: PLC0415  (imported where needed, so that --help is fast)
 
 from typing import TYPE_CHECKING, Annotated
@@ -18,7 +18,7 @@ MountSigma = Annotated[str, typer.Option("--mount-sigma", metavar="M,DEG", help=
 
 
 def mount_of(place: str, sigma: str) -> "BodyPose | None":
-    """R_bc = R(roll, pitch, yaw) FORWARD; None where not given. Raises BadParameter."""
+    """R_bc = R(roll, pitch, yaw) FORWARD, or None. Raises BadParameter."""
     import numpy as np
 
     from calib.files.formats import BodyPose

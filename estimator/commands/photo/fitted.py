@@ -82,7 +82,7 @@ def at_width(camera: "CameraModel", width: int) -> "CameraModel":
 
 
 def turned_mount(R_bc: "Array", turns: int) -> "Array":
-    """R_bc of the sensor from the displayed photo's: x_shown = R_z(90 deg turns) x_sensor."""
+    """R_bc of the sensor: x_shown = R_z(90 deg turns) x_sensor."""
     import numpy as np
 
     quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

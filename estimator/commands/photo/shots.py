@@ -1,4 +1,4 @@
-"""Input of landfix locate: rig and images, with priors by --prior or by each photo's tags (then the body is the camera)."""
+"""Input of landfix locate: rig and images, with priors by --prior or by tags (then the body is the camera)."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -34,7 +34,7 @@ _BY_AXIS: Final = 4  # numbers of --prior-sigma: horizontal, vertical, tilt, hea
 
 
 class Given(NamedTuple):
-    """Options: images, --rig, --mount with sigma, --prior, --prior-sigma, --height-m, --width."""
+    """Options."""
 
     files: Sequence[Path]
     rig: Path | None

@@ -1,4 +1,4 @@
-"""Commands on images: locate, measure, overlay, bench.
+"""Commands on images.
 
 May import estimator.commands.common, estimator.bench, estimator.tools, vision and calib.
 """

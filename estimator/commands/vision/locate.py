@@ -36,7 +36,7 @@ _AROUND_M, _NEAREST = 300.0, 20  # landmarks that tell how high the ground is
 
 
 class LocateError(ValueError):
-    """No fix, or nothing to make one of; the text is one line for a person."""
+    """No fix, or nothing to make one of, in one line."""
 
 
 def command(

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class MeasureError(ValueError):
-    """A pair without a reliable measurement; the text is one line for a person."""
+    """A pair without a reliable measurement, in one line."""
 
 
 _HUES = ("red", "orange", "yellow", "lime", "green", "teal", "cyan", "azure", "blue", "violet", "magenta", "pink")
