@@ -38,7 +38,7 @@ def run_jobs(
     results = dict(results_in(kept, kind)) if resume else {}
     left = [job for job in jobs if _name(job) not in results]
     kept.parent.mkdir(parents=True, exist_ok=True)
-    with kept.open("w") as file, cluster(processes, scheduler) as client:
+    with cluster(processes, scheduler) as client, kept.open("w") as file:
         for name, result in results.items():  # anew: the last line may have been cut off
             file.write(_line(name, result))
         file.flush()  # nothing is lost when the process is killed before its first job is done

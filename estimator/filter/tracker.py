@@ -54,6 +54,7 @@ _LOST_NS = 60_000_000_000  # an IMU gap after which the alignment begins again
 _NOT_YET = "used once the attitude is known: false axes would mislead the alignment"
 _XYZ = 3
 _REFUTED = 2  # positions in a row
+_MAJORITY = 2  # witnesses that contradict the estimate: receiver, fixes, IMU
 _USELESS = 100.0  # times the variance that a source claims, and it is no aid
 
 
@@ -117,7 +118,9 @@ class Tracker:
         if core.variance_factor.lasting > core.variance_factor.value:
             cov *= core.variance_factor.lasting / core.variance_factor.value
         if core.conflicts.apart:
-            cov[E.P, E.P] += core.conflicts.added(is_decided=core.is_aligned)
+            lead = bank.members[0]
+            contradicted = len(core.absolute & lead.rejected) + lead.doubts_imu  # by how many witnesses
+            cov[E.P, E.P] += core.conflicts.added(is_decided=core.is_aligned and contradicted < _MAJORITY)
         if self.late_cov is not None:
             cov += self.late_cov
         if core.is_aligned and self.alignment.without_sensor is not None:

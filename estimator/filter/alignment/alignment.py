@@ -126,6 +126,11 @@ class Alignment:
                     return Decision(Reason.ALIGNING, detail=self.plausibility.detail)
                 at = initialise.level(core.t_ns, stretch, config, may_rest=not (aid.absolute and self._has_moved(z)))
             if whole and isinstance(z, Pose):
+                if at is not None and initialise.is_turned(z, at):
+                    if self.begun_by == aid.topic:  # with fewer IMU samples
+                        self.begin_again()
+                    self.plausibility = Plausibility(Phase.ACTIVE, contradiction.SAYS)
+                    return Decision(Reason.ALIGNING, detail=contradiction.SAYS)
                 if core.hypotheses is None or len(core.hypotheses.members) > 1:
                     self.begun_by = aid.topic
                     core.hypotheses = initialise.start_from_pose(core.t_ns, z, core.constants, config)

@@ -32,6 +32,7 @@ _ANY_HEADING_DEG = 60.0  # a sigma beyond this (104 is that of no knowledge at a
 LEVEL_NS: Final = 1_000_000_000  # of specific force, used to level
 _STILL_ACCEL, _STILL_RATE = 0.3, 0.15  # m/s^2 (deviation), rad/s (mean) below which the vehicle may be at rest
 MOVING_TILT: Final = math.radians(12.0)  # sigma of roll and pitch levelled in motion
+_TURNED, _SIGMAS = math.radians(30.0), 3.0  # a larger error of a fix' attitude is no noise, nor one of its mounting
 _HOPELESS = 12.0  # ln: a heading so far behind is dropped
 
 
@@ -135,6 +136,12 @@ def start_from_attitude(
     noise = np.zeros((6, 6))
     noise[:3, :3], noise[3:, 3:] = z.noise[:3, :3], prior.noise
     return start_from_pose(t_ns, Pose(z.z_n, prior.q_nb_wxyz, noise, np.arange(6)), constants, config)
+
+
+def is_turned(z: Pose, at: Level) -> bool:
+    """Whether gravity contradicts the attitude of a fix by more than noise or a mounting error: angle of the two downs."""
+    down_fix, down = so3.matrix(z.q_nb_wxyz)[2], so3.matrix(so3.from_euler(at.roll, at.pitch, 0.0))[2]
+    return bool(down_fix @ down < math.cos(_TURNED + _SIGMAS * at.tilt_sigma))
 
 
 def start_from_heading(

@@ -91,13 +91,17 @@ class Hypothesis(msgspec.Struct, eq=False):
             return IMU_WRONG
         return FIX_FALSE if any(doubt.deliberate for doubt in self.doubts.values()) else POSITION_WRONG
 
+    def is_without_more(self, lead: "Hypothesis") -> bool:
+        """It leaves out a receiver that the leading hypothesis uses."""
+        return bool(self.without) and self.without != lead.without
+
     def matters_beside(self, lead: "Hypothesis") -> bool:
         """It may still lead, or it shows in the covariance."""
         return self.weight > lead.weight - FORGET or self.shows_beside(lead)
 
     def shows_beside(self, lead: "Hypothesis") -> bool:
         """Likely enough for the covariance."""
-        if self.without and not self.benefit:
+        if self.is_without_more(lead) and not self.benefit:
             return False
         return self.weight + self.benefit > lead.weight - _SHOWS
 
