@@ -298,8 +298,8 @@ class Hypotheses:
             lead = best
             lead.benefit = 0.0
             self.switches += 1
-        kept = [m for m in others if m.is_without_more(lead) and (t_ns - m.fused_ns) * 1e-9 < LEFT_OUT_S]
-        others = [m for m in others if not m.is_without_more(lead) and m.matters_beside(lead) and not m.has_settled(t_ns)]
+        kept = [m for m in others if m.omits_more_than(lead) and (t_ns - m.fused_ns) * 1e-9 < LEFT_OUT_S]
+        others = [m for m in others if not m.omits_more_than(lead) and m.matters_beside(lead) and not m.has_settled(t_ns)]
         others.sort(key=lambda m: -(m.weight + m.benefit))
         if newborn in others[_MOST - 1 :]:
             others[_MOST - 2] = newborn

@@ -91,7 +91,7 @@ class Hypothesis(msgspec.Struct, eq=False):
             return IMU_WRONG
         return FIX_FALSE if any(doubt.deliberate for doubt in self.doubts.values()) else POSITION_WRONG
 
-    def is_without_more(self, lead: "Hypothesis") -> bool:
+    def omits_more_than(self, lead: "Hypothesis") -> bool:
         """It leaves out a receiver that the leading hypothesis uses."""
         return bool(self.without) and self.without != lead.without
 
@@ -101,7 +101,7 @@ class Hypothesis(msgspec.Struct, eq=False):
 
     def shows_beside(self, lead: "Hypothesis") -> bool:
         """Likely enough for the covariance."""
-        if self.is_without_more(lead) and not self.benefit:
+        if self.omits_more_than(lead) and not self.benefit:
             return False
         return self.weight + self.benefit > lead.weight - _SHOWS
 
