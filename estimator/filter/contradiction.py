@@ -14,8 +14,8 @@ from models.measurements import Measurement, Pose, Position
 from models.messages import Array
 
 SAYS = (
-    "the IMU contradicts fixes that agree with one another: check [imu] axes, mounting_rpy_deg and units, the frames of the fixes "
-    "(north, east, down; forward, right, down), and whether they are as good as they claim ([pose_fix] noise_scale)"
+    "the IMU contradicts fixes that agree with one another: check [imu] axes, mounting_rpy_deg and units, the frames of the "
+    "fixes (north, east, down; forward, right, down), and whether they are as good as they claim ([pose_fix] noise_scale)"
 )
 _SHOWN_S, _SHOWN_FIXES = 3.0, 5
 _APART_S = 2.0  # fixes further apart show nothing
