@@ -74,7 +74,7 @@ class FusionConfig(FilterConfig, frozen=True, kw_only=True):
 
 
 class Fusion:
-    """`handle(message)` never raises: defects are counted, reported, survived."""
+    """The estimator: `handle(message)` never raises; defects are counted and reported."""
 
     def __init__(self, config: FusionConfig) -> None:
         self._config = config
@@ -372,7 +372,7 @@ class Fusion:
         return out
 
     def _jump(self, last: Estimate, lead: Eskf, published: Array, t_ns: int, *, is_aligned: bool) -> Array | None:
-        """Step against the last published estimate; None within noise; published (15, 15): used without a heading."""
+        """Step from the last published estimate, None within noise; published (15, 15): used without a heading."""
         doubt = lead.variance_factor * lead.cov if is_aligned else published
         samples = self._history.samples
         first = samples.first_after(last.t_ns)

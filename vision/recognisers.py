@@ -1,12 +1,4 @@
-"""Which recogniser processes an image, by need and by cost.
-
-    landmarks by description   always, where the map has any: pipeline.py
-    registration               without a result, with a map image and a limited prior: registration.py
-    peak                       blocks disagree: a very clear peak of the search, peak.py
-    features                   prior too wide, or nothing certain: features.py
-    learned features           nothing certain, models given: learned.py
-    peak and another evidence  a clear peak: edge directions, likely blocks, or images of two other views that agree
-    ridge                      nothing succeeded, best positions on one line: across it, peak.py
+"""Which recogniser processes an image, by need and by cost: the table in docs/vision_orthophoto.md, from above.
 
 The image is one landmark, named as its file. Results depend on the requests alone.
 """

@@ -59,7 +59,7 @@ class Reference:
 
 @dataclass(frozen=True)
 class Sample:
-    """scene: truth, map, rig with errors; seen: visible share."""
+    """One sample: scene: truth, map, rig with errors; seen: visible share."""
 
     numbers: tuple[int, ...]
     scene: Scene

@@ -205,7 +205,7 @@ class Tracker:
         return min((s.t_ns for s in (self.core.stretch, beside) if s is not None), default=2**62)
 
     def propagate(self, samples: ImuBuffer, to_ns: int) -> None:
-        """Through the IMU samples to `to_ns`; given up after a minute without any."""
+        """Propagate through the IMU samples to `to_ns`; the state is given up after a minute without any."""
         core = self.core
         if to_ns - core.t_ns > _LOST_NS:
             self.alignment.lose()

@@ -16,7 +16,7 @@ _LEAST_NS: Final = 1_000_000_000  # between two messages
 
 
 class LandmarkBoard:
-    """Landmarks within 300 m, at most 300, once a second, changes only."""
+    """Landmarks within 300 m, once a second, changes only."""
 
     def __init__(self, landmarks: LandmarkMap) -> None:
         self._landmarks = landmarks

@@ -19,7 +19,7 @@ _KEPT_FRAMES: Final = 2
 
 
 class OdometryProcessor:
-    """Caches the rectified frames of the last step."""
+    """Turns requests and images into messages; caches the rectified frames of the last step."""
 
     def __init__(self, rig: StereoRig) -> None:
         cv2.setNumThreads(1)

@@ -38,7 +38,7 @@ class Position(NamedTuple):
 
 
 class Snapshot(NamedTuple):
-    """covariance (3, 3): of position without other hypotheses."""
+    """State for the faults; covariance (3, 3): of the position, without other hypotheses."""
 
     t_ns: int
     hypotheses: Hypotheses

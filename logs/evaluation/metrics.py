@@ -1,8 +1,6 @@
 """Accuracy and consistency of arrays of associated rows.
 
 Positions (n, 3) m, quaternions (n, 4) wxyz body -> map, errors true minus estimated, covariances (n, k, k); nan without rows.
-
-Umeyama 1991; Sturm et al. 2012; Zhang & Scaramuzza 2018; Bar-Shalom, Li & Kirubarajan 2001 (5.4); Geyer 1992.
 """
 
 from dataclasses import dataclass

@@ -1,7 +1,4 @@
-"""Faults of stamps against arrivals.
-
-offset = stamp - arrival.
-"""
+"""Faults of stamps against arrivals, offset = stamp - arrival."""
 
 from typing import Final, NamedTuple
 

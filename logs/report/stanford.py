@@ -17,7 +17,7 @@ _SHADES: Final = ("#9ecae9", "#56b4e9", "#2a8fd0", "#0072b2", "#00497a", "#002a4
 
 
 def stanford(error: Array, level: Array, limit_m: float, title: str) -> str:
-    """Errors (n,), levels (n,) [m], logarithmic, clipped; limit_m: inf: none."""
+    """Plot errors (n,) against levels (n,) [m], logarithmic and clipped; limit_m: inf: none."""
     finite = level[np.isfinite(level)]
     most = max([10.0, *(finite.tolist()), *(error.tolist()), *([limit_m] if np.isfinite(limit_m) else [])])
     highest = next((d for d in _DECADES if d > most), _DECADES[-1])

@@ -236,7 +236,7 @@ def _gnss(topic: str, message: Any, arrived_ns: int) -> GnssFix:
 
 
 def _gnss_velocity(topic: str, message: Any, arrived_ns: int) -> GnssVelocity:
-    """Covariance all zero, or -1 first (REP-145): not given."""
+    """A covariance all zero, or with -1 first (REP-145), is not given."""
     covariance = message.twist.covariance.reshape(6, 6)[:3, :3]
     known = covariance.any() and covariance[0, 0] != -1.0
     return GnssVelocity(

@@ -105,7 +105,7 @@ def to_pixels(affine: Array, position_n: Array) -> Array:
 
 
 def pyramid(image: Image) -> tuple[Image, ...]:
-    """Halved repeatedly: pixel (u, v) of level k is (u, v) 2^k of level 0."""
+    """A grey image halved repeatedly: pixel (u, v) of level k is (u, v) 2^k of level 0."""
     levels = [grey(to_8_bit(image))]
     while min(levels[-1].shape) >= 2 * _LEAST_LEVEL_PX:
         levels.append(cv2.pyrDown(levels[-1]).astype(np.uint8))

@@ -167,7 +167,7 @@ class Track:
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """l (3,); own (3, 3): own covariance; F (3, k): common; chi2: per degree of freedom."""
+    """Position l (3,) with own (3, 3) and common F (3, k) errors; chi2: per degree of freedom."""
 
     position_n: Array
     own: Array

@@ -217,7 +217,7 @@ class _System(NamedTuple):
 
 
 def _filled(geometry: Geometry, y0: Array, sigma_px: float, plane: Plane | None) -> tuple[Array, Array]:
-    """Of the first pair (N, 3); missing u_r on the plane, without weight."""
+    """Measurements of the first pair (N, 3); a missing u_r is taken on the plane, without weight."""
     missing = ~np.isfinite(y0[:, 2])
     z0, variance = y0.copy(), np.full(y0.shape, sigma_px**2)
     if missing.any():

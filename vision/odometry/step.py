@@ -40,7 +40,9 @@ _FLOOR: Final = np.array([0.002] * 3 + [np.radians(0.04)] * 3)  # m, rad
 
 @dataclass(frozen=True, slots=True)
 class OdometrySettings:
-    """disparity_sigma_px: at least; relief_m: ground mean against the given height; roughness_m: points against their mean."""
+    """Limits of a step; disparity_sigma_px: at least; relief_m: ground mean against the given height; roughness_m: points against
+    their mean.
+    """
 
     points: int = 140
     relief_m: float = 1.5

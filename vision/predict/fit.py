@@ -1,7 +1,6 @@
 """From a search position to a fit.
 
-fit -> final check -> contradicting landmarks or image go -> the others are searched from the joint pose -> final check -> all
-together
+fit -> final check -> contradicting landmarks or image go -> others searched from the joint pose -> final check
 """
 
 import math

@@ -102,7 +102,7 @@ def answer_until_closed(pipe: Connection, load: Callable[[], tuple[int, Respond]
 
 
 def _give_way() -> None:
-    """Behind the daemon, never real-time: the throttle would stop it too."""
+    """Give way to the daemon, never at real-time priority, whose throttle would stop it too."""
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     os.nice(_GIVES_WAY)
 

@@ -20,7 +20,7 @@ _STATE: Final = (  # the first that a store lists, a digest of the content befor
 
 
 class Flight(msgspec.Struct, frozen=True):
-    """parts: addresses; state: size and version of each."""
+    """One flight; parts: addresses; state: size and version of each."""
 
     log: str
     parts: tuple[str, ...]

@@ -23,7 +23,7 @@ _STRIP = 0.07  # of the height, along the lower edge
 
 
 def draw(the_map: LandmarkMap, title: str, alike: Alike | None = None) -> Figure:
-    """The map, north up, m from the origin; look-alikes have marked edges."""
+    """Draw the map, north up, in metres from the origin; look-alikes have marked edges."""
     columns = the_map.columns
     low, high = _frame(columns.vertices)
     figure = Figure(figsize=_figure_size(high - low), layout="constrained", dpi=_DPI)
