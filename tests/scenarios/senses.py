@@ -77,21 +77,17 @@ def heading(
     seed: int = 0,
     rate_hz: float = 5.0,
     off_deg: float = 0.0,
-    stuck_after_s: float = math.inf,
-    late_s: float = 0.0,
 ) -> list[Input]:
     """Two antennas along the nose: 0.5 degrees of noise and 0.5 that stay."""
     rng = np.random.default_rng(seed)
     step = max(1, round(1e9 / rate_hz / float(truth.t_ns[1] - truth.t_ns[0])))
-    stays, held = off_deg + 0.5 * rng.standard_normal(), 0.0
+    stays = off_deg + 0.5 * rng.standard_normal()
     readings: list[Input] = []
     for k in range(0, len(truth.t_ns), step):
         t = int(truth.t_ns[k])
         r = truth.R_nb[k]
-        if (t - EPOCH_NS) * 1e-9 <= stuck_after_s:
-            held = math.atan2(r[1, 0], r[0, 0]) + math.radians(stays + 0.5 * rng.standard_normal())
-        stamp = t + round(late_s * 1e9)
-        readings.append(Reading(stamp, stamp, "/heading", "heading", (math.remainder(held, 2.0 * math.pi),)))
+        yaw = math.atan2(r[1, 0], r[0, 0]) + math.radians(stays + 0.5 * rng.standard_normal())
+        readings.append(Reading(t, t, "/heading", "heading", (math.remainder(yaw, 2.0 * math.pi),)))
     return readings
 
 
@@ -102,63 +98,44 @@ def magnetometer(
     rate_hz: float = 10.0,
     iron_ut: float = 1.5,
     turned: Array | None = None,
-    bias_ut: Array | None = None,
-    stuck_after_s: float = math.inf,
-    late_s: float = 0.0,
 ) -> list[Input]:
     """The Earth's field on board: hard iron of iron_ut per axis, soft iron of 2 %, noise of 0.3 uT."""
     rng = np.random.default_rng(seed)
     field = np.array(field_n(HOME, round(year_of(EPOCH_NS), 1)))
-    iron = iron_ut * 1e-6 * rng.standard_normal(3) if bias_ut is None else 1e-6 * bias_ut
+    iron = iron_ut * 1e-6 * rng.standard_normal(3)
     soft = np.eye(3) + 0.02 * rng.standard_normal((3, 3))
     step = max(1, round(1e9 / rate_hz / float(truth.t_ns[1] - truth.t_ns[0])))
     readings: list[Input] = []
-    held: Array | None = None
     for k in range(0, len(truth.t_ns), step):
         t = int(truth.t_ns[k])
         m_b = soft @ truth.R_nb[k].T @ field + iron + 0.3e-6 * rng.standard_normal(3)
         m_b = m_b if turned is None else turned @ m_b
-        if (t - EPOCH_NS) * 1e-9 > stuck_after_s:
-            m_b = m_b if held is None else held
-        held = m_b
-        stamp = t + round(late_s * 1e9)
-        readings.append(Reading(stamp, stamp, "/mag", "magnetometer", vec3(m_b)))
+        readings.append(Reading(t, t, "/mag", "magnetometer", vec3(m_b)))
     return readings
 
 
-def velocity_body(
-    truth: Truth, *, seed: int = 0, sign: Array | None = None, bias_m_s: float = 0.0, stuck_after_s: float = math.inf,
-    late_s: float = 0.0, wheels: bool = False,
-) -> list[Input]:  # fmt: skip
+def velocity_body(truth: Truth, *, seed: int = 0, wheels: bool = False) -> list[Input]:
     """Along the body's axes, 10 Hz, noise of 0.05 m/s; wheels: forward alone is given."""
     rng = np.random.default_rng(seed)
     step = round(1e8 / float(truth.t_ns[1] - truth.t_ns[0]))
     variances = np.array([0.05**2, 1e6, 1e6]) if wheels else np.full(3, 0.05**2)
     readings: list[Input] = []
-    held = np.zeros(3)
     for k in range(0, len(truth.t_ns), step):
         t = int(truth.t_ns[k])
-        v_b = truth.R_nb[k].T @ truth.v_n[k] + 0.05 * rng.standard_normal(3) + [bias_m_s, 0.0, 0.0]
-        if (t - EPOCH_NS) * 1e-9 <= stuck_after_s:
-            held = v_b if sign is None else sign @ v_b
-        stamp = t + round(late_s * 1e9)
-        readings.append(Reading(stamp, stamp, "/velocity_body", "velocity_body", vec3(held), np.diag(variances)))
+        v_b = truth.R_nb[k].T @ truth.v_n[k] + 0.05 * rng.standard_normal(3)
+        readings.append(Reading(t, t, "/velocity_body", "velocity_body", vec3(v_b), np.diag(variances)))
     return readings
 
 
-def range_down(
-    truth: Truth, *, seed: int = 0, ground_m: float = -3.0, scale: float = 1.0, stuck_after_s: float = math.inf
-) -> list[Input]:
-    """To flat ground of height ground_m, 10 Hz, noise of 0.05 m."""
+def range_down(truth: Truth, *, seed: int = 0) -> list[Input]:
+    """To flat ground 3 m below the origin, 10 Hz, noise of 0.05 m."""
     rng = np.random.default_rng(seed)
     step = round(1e8 / float(truth.t_ns[1] - truth.t_ns[0]))
     readings: list[Input] = []
-    held = 0.0
     for k in range(0, len(truth.t_ns), step):
         t = int(truth.t_ns[k])
-        if (t - EPOCH_NS) * 1e-9 <= stuck_after_s:
-            held = scale * (-truth.p_n[k, 2] - ground_m) / truth.R_nb[k][2, 2] + 0.05 * rng.standard_normal()
-        readings.append(Reading(t, t, "/range", "range", (float(held),)))
+        distance_m = (3.0 - truth.p_n[k, 2]) / truth.R_nb[k][2, 2] + 0.05 * rng.standard_normal()
+        readings.append(Reading(t, t, "/range", "range", (float(distance_m),)))
     return readings
 
 
