@@ -178,7 +178,7 @@ def test_a_conflict_is_named_and_timed_from_its_onset(tmp_path: Path) -> None:
     assert "1 of 1" in line
 
 
-@pytest.mark.parametrize("number", [2, 5, 11, 18])
+@pytest.mark.parametrize("number", [2, 18])
 def test_drawn_faults_do_not_lock_true_fixes_out(number: int) -> None:
     row = drawn.run((number,))
     assert not row.missed, row

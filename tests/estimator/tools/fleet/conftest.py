@@ -36,6 +36,6 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def client() -> Iterator[Client]:
-    """Two processes."""
-    with cluster(2) as made:
+    """One process."""
+    with cluster(1) as made:
         yield made
