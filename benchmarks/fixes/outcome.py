@@ -17,8 +17,7 @@ class Outcome(msgspec.Struct, frozen=True):
 
     error_m, bound_m: of the position, prior and images together; position, pose: squared Mahalanobis distances of that
     posterior over 3 and 6; alone: per direction, of the images without the prior; wrong: off by more than 3 m and outside its
-    own 99.99 % ellipse. name: what was tried; number: of the view; share: of the outlines in view; seconds, sift_s: what the fix,
-    and SIFT + FLANN, took; at_once: from the first pair.
+    own 99.99 % ellipse. name: what was tried; number: of the view; share: of the outlines in view; at_once: from the first pair.
     """
 
     height_m: float
@@ -37,8 +36,6 @@ class Outcome(msgspec.Struct, frozen=True):
     name: str = ""
     number: int = 0
     share: float = 1.0
-    seconds: float = 0.0
-    sift_s: float = 0.0
     at_once: bool = True
 
 

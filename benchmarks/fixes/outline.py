@@ -10,23 +10,17 @@ the first pair alone. A fix is wrong if it is off by more than 3 m and outside i
 """
 
 import argparse
-import multiprocessing
-import sys
-import time
 from pathlib import Path
 
-import cv2
 import msgspec
 import numpy as np
-from rich.console import Console
-from rich.progress import track
 
 from benchmarks.fixes.outcome import Outcome, outcome_of
 from benchmarks.fixes.outline_report import as_text
 from benchmarks.fixes.outline_views import DECOYS, PRIOR_PX, decoy, draw, later, prior_of
-from benchmarks.fixes.sift import sift_and_flann
 from benchmarks.fixes.single_fix_bound import bound
 from benchmarks.fixes.single_fix_views import View
+from benchmarks.jobs import run_jobs
 from models.maps.landmarks import LandmarkMap
 from models.prior import Prior
 from vision.image.rectify import Image
@@ -39,7 +33,7 @@ ORIGIN = (47.3977, 8.5456, 488.0)
 OFF_PX = (20.0, 40.0, 80.0, 120.0, 160.0)
 NEXT_NS = 500_000_000
 WIDE = PoseConfig(observation=ObservationConfig(search_px=(28, 14)))  # the default's 16 px do not reach 20
-PARTS = ("converge", "accuracy", "partial", "decoys", "speed")
+PARTS = ("converge", "accuracy", "partial", "decoys")
 
 
 def main() -> None:
@@ -51,18 +45,16 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=300, help="of each part")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS), metavar="PART", help=", ".join(PARTS))
-    parser.add_argument("--json", action="store_true", help="print every outcome as JSON")
+    parser.add_argument("--resume", action="store_true", help="go on where the last run ended")
     arguments = parser.parse_args()
     if arguments.views < 1 or arguments.processes < 1:
         parser.error("--views and --processes must be at least 1")
     jobs = [(part, arguments.seed, number) for part in arguments.only for number in range(arguments.views)]
-    with multiprocessing.get_context("spawn").Pool(arguments.processes, cv2.setNumThreads, (1,)) as pool:
-        work = pool.imap(run, jobs, chunksize=4)
-        every = [o for some in track(work, total=len(jobs), description="views", console=Console(stderr=True)) for o in some]
-    OUT.mkdir(parents=True, exist_ok=True)
-    (OUT / f"outcomes_{arguments.seed}.json").write_bytes(msgspec.json.encode(every))
-    (OUT / f"table_{arguments.seed}.txt").write_text(as_text(every) + "\n")
-    sys.stdout.write((msgspec.json.encode(every).decode() if arguments.json else as_text(every)) + "\n")
+    kept = OUT / f"outcomes_{arguments.seed}.jsonl"
+    done = run_jobs(jobs, run, list[Outcome], kept, processes=arguments.processes, resume=arguments.resume)
+    text = as_text([outcome for outcomes in done for outcome in outcomes])
+    (OUT / f"table_{arguments.seed}.txt").write_text(text + "\n")
+    print(text)
 
 
 def run(job: tuple[str, int, int]) -> list[Outcome]:
@@ -104,20 +96,7 @@ def decoys(seed: int, number: int) -> list[Outcome]:
     return outcomes
 
 
-def speed(seed: int, number: int) -> list[Outcome]:
-    """Three landmarks, VGA, coarse search over 3 sigma = 160 px; SIFT + FLANN on the same pair."""
-    shown = draw(seed, number)
-    if shown.view.cell.marks != 3:
-        return []
-    prior = prior_of(shown.view, PRIOR_PX)
-    _fixed("", shown.view, shown.images, prior)
-    theirs = sift_and_flann(*shown.images)
-    if theirs is None or theirs.points < 500:
-        return []
-    return [msgspec.structs.replace(_fixed("speed", shown.view, shown.images, prior), sift_s=theirs.seconds)]
-
-
-PARTS_RUN = {"converge": converge, "accuracy": accuracy, "partial": partial, "decoys": decoys, "speed": speed}
+PARTS_RUN = {"converge": converge, "accuracy": accuracy, "partial": partial, "decoys": decoys}
 
 
 def _fixed(
@@ -125,9 +104,7 @@ def _fixed(
 ) -> Outcome:
     """The pipeline's answer, to one pair or to two."""
     pipeline = LandmarkPipeline(view.rig, LandmarkMap.from_landmarks(ORIGIN, view.landmarks), PipelineConfig(path="predict"))
-    begin = time.process_time()
     result = pipeline.process(*images, 1, prior)
-    seconds = time.process_time() - begin
     at_once = result.report.outcome != "waiting"
     if not at_once:
         view, images, prior = later(view, prior)
@@ -135,7 +112,7 @@ def _fixed(
     limit = float(np.sqrt(np.trace(bound(_with_prior(view, prior))[:3, :3]))) if with_bound else 0.0
     said = f"{result.report.outcome}: {result.report.detail}"
     found = outcome_of(view, result.pose, said)
-    return msgspec.structs.replace(found, name=name, share=share, seconds=seconds, bound_m=limit, at_once=at_once)
+    return msgspec.structs.replace(found, name=name, share=share, bound_m=limit, at_once=at_once)
 
 
 def _with_prior(view: View, prior: Prior) -> View:

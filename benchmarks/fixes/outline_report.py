@@ -49,14 +49,6 @@ def as_text(outcomes: Sequence[Outcome]) -> str:
             means = [float(np.mean([getattr(o, what) for o in fixes])) for what in ("position", "pose", "alone")]
             line += f" {rms:7.3f} {ratio} " + " ".join(f"{m:6.2f}{' ' if BAND[0] <= m <= BAND[1] else '*'}" for m in means)
         lines.append(line)
-    timed = [o for o in outcomes if o.sift_s > 0.0]
-    if timed:
-        ours, theirs = np.array([o.seconds for o in timed]), np.array([o.sift_s for o in timed])
-        lines.append(
-            f"{len(timed)} textured pairs, three landmarks: p50 {1e3 * np.median(ours):.1f} ms, "
-            f"p90 {1e3 * np.quantile(ours, 0.9):.1f} ms, "
-            f"{1.0 / np.median(ours):.0f} pairs a second; {np.median(ours / theirs):.2f} of SIFT + FLANN"
-        )
     reasons = Counter((o.name, o.reason.split(":")[0]) for o in outcomes if o.reason)
     lines += [f"  no fix, {part}: {reason} {count}" for (part, reason), count in sorted(reasons.items())]
     return "\n".join(lines)

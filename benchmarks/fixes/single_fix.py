@@ -4,12 +4,10 @@ python -m benchmarks.fixes.single_fix --seed 1 --views 2000
 python -m benchmarks.fixes.single_fix --seed 1 --views 2000 --resume      (goes on where it was ended)
 
 Every view has its own world, map errors, rig errors, pose, light and noise (benchmarks/fixes/single_fix_views.py); identities are
-given, and the fit starts a few pixels off, from noisy centres and sizes of the roofs' regions. Table and plot go to
-out/single_fix/.
+given, and the fit starts a few pixels off, from noisy centres and sizes of the roofs' regions. The table goes to out/single_fix/.
 """
 
 import argparse
-import sys
 from pathlib import Path
 
 import msgspec
@@ -17,7 +15,7 @@ import numpy as np
 
 from benchmarks.fixes.outcome import Outcome, outcome_of
 from benchmarks.fixes.single_fix_bound import bound
-from benchmarks.fixes.single_fix_report import as_text, plot, table
+from benchmarks.fixes.single_fix_report import as_text, table
 from benchmarks.fixes.single_fix_start import centroid_and_size, start_from_regions
 from benchmarks.fixes.single_fix_views import View, draw_view
 from benchmarks.jobs import run_jobs
@@ -39,7 +37,6 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=2000)
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--resume", action="store_true", help="keep the views that were done before this run was ended")
-    parser.add_argument("--json", action="store_true", help="print the table as JSON")
     arguments = parser.parse_args()
     if arguments.views < 1 or arguments.processes < 1:
         parser.error("--views and --processes must be at least 1")
@@ -47,8 +44,7 @@ def main() -> None:
     kept = OUT / f"outcomes_{arguments.seed}.jsonl"
     rows = table(run_jobs(jobs, run_view, Outcome, kept, processes=arguments.processes, resume=arguments.resume))
     (OUT / f"table_{arguments.seed}.txt").write_text(as_text(rows) + "\n")
-    plot(rows, OUT / f"cells_{arguments.seed}.png")
-    sys.stdout.write((msgspec.json.encode(rows).decode() if arguments.json else as_text(rows)) + "\n")
+    print(as_text(rows))
 
 
 def run_view(job: tuple[int, int]) -> Outcome:

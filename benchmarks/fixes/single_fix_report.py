@@ -1,10 +1,7 @@
-"""From the outcomes of single fixes to a table by cell and a plot."""
+"""From the outcomes of single fixes to a table by cell."""
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
-import matplotlib as mpl
-import matplotlib.pyplot as plt
 import msgspec
 import numpy as np
 
@@ -69,25 +66,3 @@ def as_text(rows: Sequence[Row]) -> str:
         nees = " ".join(f"{value:6.2f}{' ' if BAND[0] <= value <= BAND[1] else '*'}" for value in (r.position, r.pose, r.alone))
         lines.append(f"{r.cell:24} {r.views:6} {r.accepted:7.1%} {r.rms_m:7.3f} {r.rms_over_bound:7.2f} {nees} {r.wrong:6}")
     return "\n".join(lines)
-
-
-def plot(rows: Sequence[Row], path: Path) -> None:
-    """RMS over bound and squared Mahalanobis distance of every cell, with what they should be."""
-    mpl.use("Agg")
-    figure, (left, right) = plt.subplots(1, 2, figsize=(12, 0.26 * len(rows) + 1.6), sharey=True, layout="constrained")
-    y = np.arange(len(rows))[::-1]
-    left.set_ylim(-0.8, len(rows) + 1.0)
-    left.barh(y, [r.rms_over_bound for r in rows], color="tab:blue")
-    left.axvline(1.5, color="tab:red", label="goal: at most 1.5")
-    left.set_yticks(y, [f"{r.cell}  ({r.views})" for r in rows])
-    left.set_xlabel("RMS position error / Cramér-Rao bound")
-    left.legend(loc="upper right")
-    right.axvspan(*BAND, color="tab:green", alpha=0.15, label="goal: 0.7 to 1.5")
-    right.plot([r.position for r in rows], y, "o", color="tab:blue", label="position with prior, d²/3")
-    right.plot([r.alone for r in rows], y, "x", color="tab:orange", label="images alone, d²/6")
-    right.axvline(1.0, color="grey", linewidth=0.8)
-    right.set_xlim(left=0.0)
-    right.set_xlabel("mean squared Mahalanobis distance per degree of freedom")
-    right.legend(loc="lower left")
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
