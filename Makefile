@@ -28,8 +28,8 @@ check: install  ## ruff, mypy --strict, import contracts
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-bench: install  ## speed, as ratios to a baseline run beside it
-	$(PYTEST) -p benchmark benchmarks --benchmark-sort=name
+bench: install  ## what a message costs, by rate of fixes, GNSS and IMUs; of two versions in turns: see benchmarks/speed/cost.py
+	$(BIN)/python -m benchmarks.speed.cost
 
 bench-real: install  ## accuracy on the recorded flights of LANDFIX_DATA, beside the peers' figures
 	$(BIN)/python -m benchmarks.flights.real
@@ -83,4 +83,4 @@ lock: install  ## write the lock files anew from pyproject.toml
 		--output-file requirements-flight.lock pyproject.toml
 
 clean:  ## remove .venv and what tools left behind
-	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks .import_linter_cache
+	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -45,6 +45,7 @@ class Scene(msgspec.Struct, frozen=True):
 SCENES = {
     "fixes 2 Hz": Scene(),
     "fixes 2 Hz, 0.3 s late": Scene(late_s=0.3),
+    "fixes 30 Hz, 5 s late": Scene(30.0, late_s=5.0),
     "fixes 10 Hz": Scene(10.0),
     "fixes 30 Hz": Scene(30.0),
     "fixes 2 Hz, GNSS 1 Hz": Scene(gnss_hz=1.0),
