@@ -5,7 +5,7 @@
     python -m benchmarks.campaign --scenarios rotor --seeds 20
     python -m benchmarks.campaign --list                     names of the scenarios
 
-Writes report.md, results.json and campaign.png.
+Writes report.md and results.json.
 """
 
 import argparse
@@ -104,9 +104,7 @@ def write(out: Path, results: list[Result]) -> None:
     if mismatched:
         tables.append(campaign_report.flight_table("Sensors that do not match the model (figures only)", mismatched))
     out.mkdir(parents=True, exist_ok=True)
-    if matched:
-        campaign_report.figure(matched, out / "campaign.png")
-    (out / "report.md").write_text(campaign_report.markdown(tables, picture=bool(matched)), encoding="utf-8")
+    (out / "report.md").write_text(campaign_report.markdown(tables), encoding="utf-8")
     (out / "results.json").write_bytes(msgspec.json.format(msgspec.json.encode({"flights": results}), indent=1))
     console = Console()
     console.width = max(console.width, 140)

@@ -1,17 +1,12 @@
-"""The campaign for a person: tables, a page of Markdown, a figure."""
+"""The campaign for a person: tables, a page of Markdown."""
 
 from collections.abc import Iterable, Sequence
-from pathlib import Path
-
-import matplotlib as mpl
-import matplotlib.pyplot as plt
-from matplotlib.axes import Axes
 
 from benchmarks.campaign.runs import BLOCKS, PARTS
 from benchmarks.campaign.statistics import Consistency, Efficiency, Result, pooled_nees, pooled_ratio
 from benchmarks.tables import Table
 
-AIM_INSIDE, AIM_GATED, AIM_RATIO = 0.93, 0.002, (0.95, 1.10)
+AIM_INSIDE, AIM_GATED = 0.93, 0.002
 WORST = 15  # cells listed
 PHASES = ("before", "during", "end", "after")
 
@@ -115,58 +110,7 @@ def share(flags: Iterable[bool]) -> str:
     return f"{100.0 * sum(values) / len(values):.1f} %"
 
 
-def figure(results: Sequence[Result], path: Path) -> None:
-    """NEES/dof of the three parts and RMSE/bound of the three blocks, cell by cell in order of time, matched flights."""
-    mpl.use("Agg")
-    fig, axes = plt.subplots(2, 3, figsize=(18, 9), sharex=True, layout="constrained")
-    colours = plt.get_cmap("tab10")
-    for column, (part, block) in enumerate(zip(PARTS, BLOCKS, strict=True)):
-        top, bottom = axes[0, column], axes[1, column]
-        for k, r in enumerate(results):
-            style = {"color": colours(k % 10), "marker": "os^Dv"[k % 5], "markersize": 4, "linewidth": 0.8, "label": r.name}
-            cells = [c for c in r.consistency if c.part == part]
-            top.plot(range(len(cells)), [c.mean for c in cells], **style)
-            bottom.plot(range(len(cells)), [e.ratio for e in r.efficiency if e.block == block], **style)
-        widest = [c for c in max(results, key=lambda r: len(r.consistency)).consistency if c.part == part]
-        for band, shade in ((widest[0].band9999, 0.15), (widest[0].band95, 0.3)):
-            top.axhspan(*band, color="gray", alpha=shade, zorder=0, linewidth=0)
-        bottom.axhspan(*AIM_RATIO, color="tab:green", alpha=0.2, zorder=0, linewidth=0)
-        top.set_title(f"NEES/dof, {part}")
-        bottom.set_title(f"RMSE / bound, {block}")
-        for ax in (top, bottom):
-            _decorate(ax, widest)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    runs = results[0].runs
-    fig.legend(handles, labels, loc="outside lower center", ncols=5)
-    fig.suptitle(
-        f"{runs} seeds a flight; grey: 95 % and 99.99 % bands of the mean; green: aim; shaded columns: no absolute aid",
-        fontsize=11,
-    )
-    fig.savefig(path, dpi=100)
-    plt.close(fig)
-
-
-def _decorate(ax: Axes, cells: Sequence[Consistency]) -> None:
-    """Outages as shaded columns with their length; a scale that shows both sides of 1 alike."""
-    lengths = [c.instant.outage_s for c in cells]
-    for length in dict.fromkeys(lengths):
-        dark = [k for k, c in enumerate(cells) if c.instant.outage_s == length and c.instant.phase in {"during", "end"}]
-        ax.axvspan(dark[0] - 0.5, dark[-1] + 0.5, color="tab:red", alpha=0.08, zorder=0, linewidth=0)
-    middles = [sum(k for k, s in enumerate(lengths) if s == length) / lengths.count(length) for length in dict.fromkeys(lengths)]
-    ax.set_xticks(middles, [f"{length:g} s" for length in dict.fromkeys(lengths)])
-    ax.set_yscale("log")
-    low, high = ax.get_ylim()
-    least, most = min(low, 0.6), max(high, 1.6)
-    ax.set_ylim(least, most)
-    ticks = [m * 10.0**e for e in range(-2, 6) for m in ((0.6, 0.8, 1.0, 1.25, 1.6) if most < 5 else (1.0, 3.0))]
-    ax.set_yticks([t for t in ticks if least <= t <= most], [f"{t:g}" for t in ticks if least <= t <= most])
-    ax.minorticks_off()
-    ax.axhline(1.0, color="black", linewidth=0.8)
-    ax.grid(visible=True, axis="y", alpha=0.25)
-
-
-def markdown(tables: Sequence[Table], picture: bool) -> str:
+def markdown(tables: Sequence[Table]) -> str:
     """The whole page."""
     head = "# Campaign: consistency and efficiency over many simulated flights\n\n" + HOW + "\n"
-    image = "![NEES and RMSE/bound by cell](campaign.png)\n\n" if picture else ""
-    return head + image + "\n".join(table.markdown() for table in tables)
+    return head + "\n".join(table.markdown() for table in tables)

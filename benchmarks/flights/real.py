@@ -41,12 +41,11 @@ def main() -> None:
     report = [table.markdown() for table in report_tables(runs)]
     if runs:
         (args.out / "results.json").write_text(json.dumps(runs, indent=1))
-        tables.figure(runs, args.out / "medians.png")
     if args.gnss or everything:
         report += [table.markdown() for table in gnss.tables(args.out, args.jobs)]
     (args.out / "report.md").write_text("\n".join(report))
     print("\n".join(report))
-    print(f"{args.out}/report.md, results.json, medians.png")
+    print(f"{args.out}/report.md, results.json")
 
 
 def arguments() -> argparse.Namespace:

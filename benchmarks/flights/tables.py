@@ -1,12 +1,9 @@
-"""From the scores of many runs to the tables and the figure a person compares."""
+"""From the scores of many runs to the tables a person compares."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
+from collections.abc import Iterable, Sequence
 from typing import Any
 
-import matplotlib as mpl
-import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmarks.flights.peers import PEERS, Row
@@ -120,58 +117,3 @@ def flight_table(scenario: str, runs: Sequence[Run], figure: str) -> Table:
         cells = [medians(r for r in runs if r["flight"] == flight and r["estimator"] == e).get(figure) for e in estimators]
         rows.append((flight, *(number(cell) for cell in cells)))
     return Table(f"{scenario}: {COLUMNS[figure]} per flight (median of seeds)", ("flight", *estimators), rows)
-
-
-def figure(runs: Sequence[Run], path: Path) -> None:
-    """EuRoC medians next to the peers': position, attitude and the end of the longest outage, by scenario."""
-    mpl.use("Agg")
-    euroc = [run for run in runs if run["set"] == "euroc" and "pos_m" in run]
-    scenarios = [s for s in SCENARIOS if any(run["scenario"] == s for run in euroc)]
-    panels: list[tuple[str, Callable[[Row], float | None]]] = [
-        ("position RMSE outside outages [m]", lambda r: r.get("pos_m")),
-        ("attitude RMSE outside outages [degrees]", lambda r: r.get("att_deg")),
-        ("error at the end of the longest outage [m]", lambda r: r.get("end_60", r.get("end_30"))),
-    ]
-    fig, axes = plt.subplots(1, len(panels), figsize=(15, 5), layout="constrained")
-    for ax, (label, pick) in zip(axes, panels, strict=True):
-        for k, (name, (peers, style)) in enumerate(_STYLES.items()):
-            values = [_value((name, *peers), scenario, euroc, pick) for scenario in scenarios]
-            shift = 0.09 * (k - 0.5 * (len(_STYLES) - 1))  # side by side, or the equal ones would hide each other
-            points = [(i + shift, value) for i, value in enumerate(values) if value is not None]
-            ax.plot(*zip(*points, strict=True) if points else ((), ()), linestyle="none", label=name, **style)
-        ax.set(yscale="log", title=label, xlabel="scenario", xlim=(-0.6, len(scenarios) - 0.4))
-        ax.set_xticks(range(len(scenarios)), scenarios)
-        for axis_part in (ax.yaxis.set_major_formatter, ax.yaxis.set_minor_formatter):
-            axis_part(_plain_number)
-        ax.grid(visible=True, which="both", axis="y", alpha=0.25)
-        for k in range(1, len(scenarios)):
-            ax.axvline(k - 0.5, color="black", alpha=0.08)
-    handles, labels = axes[0].get_legend_handles_labels()
-    fig.legend(handles, labels, loc="outside lower center", ncols=len(labels), title="medians over EuRoC; peers as published")
-    fig.savefig(path, dpi=110)
-    plt.close(fig)
-
-
-def _plain_number(value: float, _: int) -> str:
-    """Labels 1, 2 and 5 times a power of ten, as 0.2 and 50."""
-    return f"{value:g}" if f"{value:e}"[0] in "125" else ""
-
-
-# How each estimator is drawn, and the names of its published variants.
-_STYLES: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
-    "EKF2 (patched, tuned)": (("ekf2p_tuned",), {"marker": "x", "color": "tab:brown"}),
-    "KF-GINS": (("kfgins",), {"marker": "^", "color": "tab:gray"}),
-    "gtsam": (("gtsam_ifl_cauchy", "gtsam_isam2"), {"marker": "v", "color": "tab:purple"}),
-    "MaRS": (("mars_chi2", "mars"), {"marker": "d", "color": "tab:green"}),
-    "rednose": (("rednose_loc", "rednose_strap"), {"marker": "s", "color": "tab:olive", "fillstyle": "none"}),
-    "filterpy (published)": (("filterpy",), {"marker": "+", "color": "tab:orange", "markersize": 10}),
-    NAIVE: ((), {"marker": "o", "color": "tab:orange", "fillstyle": "none", "markersize": 8}),
-    OURS: ((), {"marker": "o", "color": "tab:blue", "markersize": 8}),
-}
-
-
-def _value(names: Sequence[str], scenario: str, runs: Sequence[Run], pick: Callable[[Row], float | None]) -> float | None:
-    """The first that there is: our own median, or a published one."""
-    those = [run for run in runs if run["scenario"] == scenario and run["estimator"] == names[0]]
-    published = PEERS.get(scenario, {})
-    return pick(medians(those)) if those else next((pick(published[n]) for n in names if n in published), None)
