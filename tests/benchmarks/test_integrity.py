@@ -118,7 +118,7 @@ def test_the_workers_of_a_scheduler_do_what_is_left(tmp_path: Path) -> None:
     work = [("looks", world, "", 5.0, 0, "") for world in ("random, prior 5 m", "grid, prior 5 m")]
     kept = tmp_path / "rows.jsonl"
     here = run_jobs(work[:1], run, Row, kept)
-    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0") as local:
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as local:
         rows = run_jobs(work, run, Row, kept, resume=True, scheduler=local.scheduler_address)
     assert rows == [*here, run(work[1])]
     assert len(kept.read_text().splitlines()) == len(work)

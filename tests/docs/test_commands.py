@@ -179,7 +179,6 @@ BROUGHT: dict[str, Callable[[Path], None]] = {
     "tutorial_own_log": a_log_of_px4,
     "tutorial_replay": a_lighter_scenario,
 }
-SHORTER = {"tutorial_tune": ("duration_s = 75.0", "duration_s = 45.0")}  # flights that a page writes for itself
 
 
 # -------------------------------------------------------------------------------------------------------------- what it must give
@@ -272,9 +271,6 @@ def typed(page: Path, tmp_path: Path, programs: Path) -> str:
     if not (tmp_path / "examples").exists():
         (tmp_path / "examples").symlink_to(ROOT / "examples")
     script = "\n".join(["set -eu", *blocks(page, "sh")])
-    if page.stem in SHORTER:
-        assert script.count(SHORTER[page.stem][0]) == 1
-        script = script.replace(*SHORTER[page.stem])
     environment = os.environ | SETTINGS | {"PATH": f"{programs}:{os.environ['PATH']}"}
     bash = shutil.which("bash")
     assert bash
