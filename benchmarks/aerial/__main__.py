@@ -1,9 +1,7 @@
 """Outlines on real aerial images: `python -m benchmarks.aerial [brighton] [nust] [roads] [spacenet]`.
 
-Predict and verify with plain segmentation, one camera, every trial with a pipeline of its own. A trial is one image; where
-the pipeline waits for the next one to agree, Brighton has it; *at once* counts the first image alone. All thresholds are the
-pipeline's defaults, made on rendered images: nothing is tuned here. How each set is judged: docs/vision_aerial.md.
-Tables and overlays go to out/aerial/.
+One camera, a trial is one image with its own pipeline; where that waits for another image, Brighton has one; *at once*: the first
+image alone. Thresholds are the defaults (docs/vision_aerial.md). Output: out/aerial/.
 """
 
 import argparse

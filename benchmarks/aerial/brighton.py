@@ -42,10 +42,9 @@ def camera(width: int = WIDTH) -> CameraModel:
 
 
 def trials(data: Path, seed: int, priors: int, width: int, spread: Spread = SPREAD, *, hover: bool = False) -> Iterator[Trial]:
-    """Every photo that has a reference and shows an outline, then those with 3 and more under a map that is turned.
+    """Every photo with a reference and an outline, then those with 3 outlines under a turned map.
 
-    The photos are 7 s apart: the next one, for a fix that waits, is given as if it came 2 s later, with the same error of the
-    prior. hover: the next image is the same one, with other noise, from the same place.
+    The next photo (7 s later) comes after 2 s, with the same error of the prior. hover: the same image with other noise.
     """
     landmarks, names = landmark_map(), photo_names(data)
     cases = {n: case(data, n, where, landmarks, width) for n, where in references(data, landmarks, names).items()}

@@ -1,9 +1,8 @@
 """How large the claims are beside the errors: `python -m benchmarks.aerial.calibration [SET ...] [--seed N ...]`.
 
-Fixes as in flight, and by the peak alone, of the sets of `benchmarks.aerial.registration`, without decoys. For each fix the
-errors along the two axes of its claimed covariance over their standard deviations: their mean square is 1, and their
-distribution normal, where the claim is right. Position of the ground that the image's middle shows. References know neither where
-the map lies on Earth nor how the camera sits: these errors are drawn (registration_sets.py). Writes a table and a picture.
+Fixes as in flight, and by the peak alone, of `benchmarks.aerial.registration`'s sets without decoys: errors along the axes of the
+claimed covariance over their sigmas, of the ground in the image's middle. Errors of map and mounting are drawn
+(registration_sets.py).
 """
 
 import argparse

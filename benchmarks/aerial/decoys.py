@@ -1,11 +1,8 @@
 """Images over maps that do not show their place, as in flight: `python -m benchmarks.aerial.decoys [--resume]`.
 
-None of these images, priors and maps chose a threshold: frames of the NUST video between those of
-`benchmarks.aerial.registration`, Brighton's photos, and villages of other seeds. The map is that of their place, turned by a
-quarter, mirrored, or 150 to 300 m away from the prior; or it is the map of another place. *Oblique*: views 45 degrees ahead,
-drawn from the video's ground and from satellite tiles. Whatever is accepted is wrong. Of n images without a fix the share of
-false ones is below 3 / n (95 %). Learned matching runs where the data has its models. Each job's result is kept in
-out/registration/decoys.jsonl.
+None of these images and maps chose a threshold. The map is turned by a quarter, mirrored, 150 to 300 m off, or of another place.
+*Oblique*: views 45 degrees ahead, rendered. Whatever is accepted is wrong: of n images without a fix the false share is below 3 /
+n (95 %). Results: out/registration/decoys.jsonl.
 """
 
 import argparse

@@ -1,9 +1,7 @@
 """NUST campus: a nadir video over two helipads, and over roads, digitised from the orthophoto.
 
-The reference is a registration of every fifth frame to the orthophoto (SIFT, a homography a frame; about 0.5 m). Neither camera
-nor height is known, only their ratio: a frame shows 223 m. The ratio of focal length to width is taken as 0.77, that of common
-survey cameras; another one scales the height and moves nothing on the ground. The ground is the plane of the map. Judged is the
-position on the ground that the frame's middle shows.
+Reference: every fifth frame registered to the orthophoto (SIFT, homography; about 0.5 m). A frame shows 223 m; focal length over
+width is taken as 0.77. The ground is a plane. Judged: the ground in the frame's middle.
 """
 
 import csv

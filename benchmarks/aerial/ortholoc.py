@@ -2,10 +2,8 @@
 
 A photo 25 degrees off straight down, over its own orthophoto and over the state's, of another season; decoys: the map turned.
 
-The files `urban_residential*` of the repository deepscenario/OrthoLoC, ortholoc/assets/demo (CC BY-NC-SA 4.0, so not in this
-one), in images/ortholoc_demo of LANDFIX_DATA. Poses are exact; heights are not used but for the ground's, 13.0 m below the
-origin: where SIFT's matches with the photo's own orthophoto lie at the known pose (57 of them, quartiles 12.8 and 13.1 m). One
-photo is one photo, whatever the number of priors.
+Files `urban_residential*` of deepscenario/OrthoLoC, ortholoc/assets/demo (CC BY-NC-SA 4.0), in images/ortholoc_demo of
+LANDFIX_DATA. Poses are exact; the ground is 13.0 m below the origin, by 57 SIFT matches.
 """
 
 import argparse

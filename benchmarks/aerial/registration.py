@@ -1,10 +1,8 @@
 """Position from maps that hold an image: `python -m benchmarks.aerial.registration [nust] [brighton] [rendered] [oblique]`.
 
-Registration and features (SIFT and FLANN), with what a fix takes and with the usual ten inliers, the peak of the search with
-its checks and without any (plain Sobel and normalised correlation, which always answers), and all as in flight, on the same
-images in one run. All thresholds are the recognisers' defaults. Judged is the position on the ground that the image's
-middle shows, by fix and prior together. Of n decoys without a fix the share of false ones is below 3 / n (95 %). Tables go to
-out/registration/.
+Registration, features (also with ten inliers), the search's peak with and without checks, and all as in flight, on the same
+images. Judged: the ground in the image's middle, by fix and prior. Of n decoys without a fix the false share is below 3 / n (95
+%). Output: out/registration/.
 """
 
 import argparse

@@ -1,10 +1,8 @@
-"""What registration is tried on: a real video, real photos, and rendered ground on other days and in another season.
+"""Sets for registration: a video, photos, rendered ground.
 
-Decoys have no right answer: the map turned by half a turn or by a quarter about its middle, or a vehicle 100 to 200 m from
-where the prior has it, beyond the search range.
+Decoys: the map turned by a half or a quarter, or a vehicle 100 to 200 m off.
 
-Oblique views, 45 degrees ahead, are drawn from real ground seen from above: the video's frames in one, over the orthophoto of
-another date, or satellite tiles in another light. Relief and walls are missing in them.
+Oblique views, 45 degrees ahead, are rendered from the video's ground or satellite tiles, without relief.
 """
 
 import math
@@ -316,9 +314,7 @@ def shots(
 ) -> Callable[[], Iterator[Shot]]:
     """Errors drawn anew every 3 s of the flight, so that images within share them; away: the prior is so much farther off, m.
 
-    The poses are those on the map. Where the map itself lies, by its own standard deviation, is drawn for each image: all
-    references come from the same map, which would hide the error of its georeference, and every claim that counts it would look
-    too large.
+    The map's own error is drawn for each image, since references come from the same map.
     """
     sigma_m = scene.known.image.sigma_m
 

@@ -1,7 +1,7 @@
 """SpaceNet Atlanta: footprints over a panchromatic image of 0.5 m, taken as that of a camera far above.
 
-The map is a set of neighbouring footprints, the prior is shifted by up to 24 m. What is judged is the shift left between the
-projected footprints and the image; how far map and image lie apart by themselves is measured with all the *other* footprints.
+Map: a set of neighbouring footprints; prior: up to 24 m off. Judged: the shift left between projected footprints and image,
+against all *other* footprints.
 """
 
 import math

@@ -1,9 +1,8 @@
 """Photos with nothing but their tags: `python -m benchmarks.aerial.tagged [--width 800]`.
 
-Brighton Beach as `landfix locate PHOTO --map MAP` sees it: pose and camera by EXIF and XMP, which the set keeps in photos.csv and
-which are written into its photos again. 12 are as the camera wrote them; 6 were turned by half a turn in a photo viewer, which
-left the tags as they were, and are decoys of a kind. Judged: where the camera is, by fix and prior together, against SIFT in the
-orthophoto, which was made from the same photos and their GPS. With the camera by its tags, and with a calibrated one.
+Brighton Beach by `landfix locate PHOTO --map MAP`: pose and camera by EXIF and XMP from photos.csv, or a calibrated camera. 12
+photos are original; 6, turned by a viewer, are decoys. Judged: the camera's position by fix and prior, against SIFT in the
+orthophoto of the same photos.
 """
 
 import argparse

@@ -84,9 +84,8 @@ class Trial:
 
 
 class Outcome(msgspec.Struct, frozen=True):
-    """What became of a trial. prior_m: horizontal error of the prior; error_m: of fix and prior together, alone_m: of the fix
-    alone, as the case judges; squared: squared error of the fix's position over its covariance, per degree of freedom; at_once:
-    from the first image; within_m: 95 % radius of fix and prior together, as `landfix locate --within` asks for.
+    """prior_m: horizontal error of the prior; error_m: of fix and prior, alone_m: of the fix; squared: squared error over the
+    covariance, per degree of freedom; at_once: from the first image; within_m: 95 % radius of fix and prior.
     """
 
     group: str
@@ -185,9 +184,8 @@ def run(trial: Trial, path: Way) -> tuple[Outcome, Result]:
 
 
 class Row(msgspec.Struct, frozen=True):
-    """Trials of one kind; images: different ones; wrong: accepted and more than 2 m off; right: accepted and not; at_once:
-    share accepted from the first image; sure: share with a 95 % radius of at most 2 m, sure_wrong: of these, beyond 2 m;
-    claimed_m: median 95 % radius, inside: how many are within theirs.
+    """Trials of one kind; wrong: accepted and more than 2 m off; at_once: accepted from the first image; sure: with a 95 % radius
+    of at most 2 m, sure_wrong: of these, beyond 2 m; claimed_m: median 95 % radius, inside: within theirs.
     """
 
     group: str

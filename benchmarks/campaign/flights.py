@@ -1,7 +1,6 @@
 """The campaign's flights: vehicles, sensors, outages, and the filter's configuration of them.
 
-A matched flight is one whose sensors are exactly what the filter's model says: no slow GNSS error, no false fix, biases that
-wake up as the filter expects. A mismatched one breaks one assumption, or several.
+Matched: sensors are what the filter's model says. Mismatched: an assumption is broken.
 """
 
 import math

@@ -2,9 +2,7 @@
 
     e = x_true (-) x_hat,   NEES = e' P^-1 e  of  pose (p, theta), velocity, full state         (Bar-Shalom 2001, eq. 5.4.2-2)
 
-The bound begins at the first pose fix with the covariance that the filter begins with; for GNSS alone, which gives no attitude,
-with a diffuse one. Its velocity prior (10 m/s) is not the truth's distribution, and is forgotten after a few fixes, long before
-scoring.
+The bound begins at the first pose fix with the filter's covariance; for GNSS alone with a diffuse one.
 """
 
 import math

@@ -3,8 +3,7 @@
 n * mean(NEES) ~ chi2(n * dof)           two-sided bands of a cell                      (Bar-Shalom 2001, eq. 5.4.2-8)
 efficiency = sqrt(mean |e|^2 / mean tr B),   B the posterior Cramer-Rao bound           (Tichavsky 1998)
 
-The cells of one flight are not independent: a run's biases and its last errors go on from instant to instant. Few seeds put many
-cells outside together. Runs are independent, so the mean over a whole flight has a standard error from the scatter between them.
+Cells of a flight are not independent; runs are, so a flight's mean has a standard error.
 """
 
 import math

@@ -2,8 +2,7 @@
 
     e = p_gnss - p_hat,   NEES = e' (P + S_gnss)^-1 e / 3
 
-Every window begins after at least a minute of aiding (less on short flights) while the vehicle moves. A receiver's error is
-slow, so a figure of one window is one sample; medians are over windows.
+A window begins after a minute of aiding (less on short flights), in motion, and is one sample.
 """
 
 from collections.abc import Sequence

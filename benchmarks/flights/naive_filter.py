@@ -2,9 +2,7 @@
 
     p' = v,  v' = R_nb (a - b_a) + g_n,  R_nb' = R_nb [w - b_g]x,  b' = noise          (Sola 2017, eq. 236, 238)
 
-The same models, frames (NED, FRD) and noise parameters as the estimator, and the same table of the error state; nothing else
-is shared with it, on purpose. It has no rewind, no gate and no reset Jacobian: a fix is fused when it arrives and as it is.
-It is the baseline of the speed ratios, and of accuracy: with fixes that are punctual and true nothing can be much better.
+The estimator's models, frames and noise, without rewind, gate and reset Jacobian: the baseline of speed and accuracy.
 """
 
 import numpy as np

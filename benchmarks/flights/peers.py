@@ -1,8 +1,7 @@
 """Published estimators on the same scenarios, as they were measured: the yardstick with our own figures.
 
-Medians over 11 sequences (EuRoC MH_01 03 04 05, V1_01-03, V2_01-03 and Blackbird clover; G and B: those long enough) and seeds
-0-2. Ours run over the sequences that are present, so the EuRoC rows are the ones to compare. Units: m, degrees; end = error at
-the last instant of an outage. Measured once with programs that are not part of this repository; C, L, V and W were not run.
+Medians over 11 sequences (EuRoC MH_01 03 04 05, V1_01-03, V2_01-03, Blackbird clover) and seeds 0-2; compare the EuRoC rows. m,
+degrees; end: at an outage's end. Measured once with other programs; C, L, V, W were not run.
 """
 
 from typing import TypeAlias

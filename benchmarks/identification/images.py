@@ -1,11 +1,9 @@
-"""As benchmarks.identification.numbers, on rendered images through the whole pipeline:
-`python -m benchmarks.identification.images`.
+"""As benchmarks.identification.numbers, on rendered images through the whole pipeline: `python -m
+benchmarks.identification.images`.
 
-Roofs of one outline and colour, +-10 % in size, 25 m apart (look-alikes), houses of all shapes (village), the same along streets
-(grid); 30 % of them are not in the map, 10 % of the map is gone; cars, trees and patches of colour nearby. Map errors 0.3 m,
-rig errors as the rig's own covariance says. Wrong fix: with the prior more than 3 m off and outside its own 99.99 % ellipsoid.
-Wrong identity: a landmark of the fix that truly is not where its region is, or that no longer stands. Several seeds are pooled,
-with --resume those that were done before too. Writes identification_pictures.md and .png to --out.
+Look-alikes (+-10 % in size, 25 m apart), villages, grids; 30 % not in the map, 10 % of it gone; map errors 0.3 m. Wrong fix: with
+the prior more than 3 m off and outside its 99.99 % ellipsoid. Wrong identity: a landmark of the fix that is not there. Seeds are
+pooled, with --resume earlier ones too. Writes identification_pictures.md and .png to --out.
 """
 
 import argparse

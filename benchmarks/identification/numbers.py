@@ -1,10 +1,9 @@
-"""How often regions are identified, and how often wrongly, in worlds of look-alikes:
-`python -m benchmarks.identification.numbers`.
+"""How often regions are identified, and how often wrongly, in worlds of look-alikes: `python -m
+benchmarks.identification.numbers`.
 
-Wrong fix: the place is off by more than 3 m and outside its own 99.99 % ellipsoid. Wrong identity: an identified region that is
-another landmark or none. Next to it what the thesis' rule alone does: the most similar landmark within the prior's 99.99 %, if it
-is >= 75 % similar. Objects differ by +-10 % in width and length and stand 25 m apart, 30 % of them are not in the map and 10 % of
-the map is gone. Numbers only, no images; seeds from the command line. Writes identification.md and .png to --out.
+Wrong fix: off by more than 3 m and outside its 99.99 % ellipsoid. Wrong identity: another landmark, or none. Beside it the
+thesis' rule: the most similar landmark within the prior's 99.99 %, if >= 75 % similar. Objects of +-10 %, 25 m apart, 30 % not in
+the map, 10 % of it gone. Writes identification.md and .png to --out.
 """
 
 import argparse

@@ -1,8 +1,7 @@
 """What protection levels with alert limits cost: `python -m benchmarks.integrity.cost`.
 
-A simulated rotor of 60 s, IMU at 100 Hz, GNSS at 5 Hz, fixes at 0.5 Hz, flown in turns with limits (a time to alert of 1 s,
-and of 2 s), without, and with levels that are never due; processor time a message, the least of all rounds. Memory: what
-estimator/integrity has allocated in the first third and still holds (tracemalloc).
+A simulated rotor of 60 s, flown in turns with limits (time to alert 1 s, 2 s), without, and with levels never due; processor time
+a message, least of all rounds. Memory: held by estimator/integrity (tracemalloc).
 """
 
 import argparse
