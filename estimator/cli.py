@@ -16,17 +16,16 @@ from estimator.commands import (
     export,
     forecast,
     live,
-    monitor,
     recover,
     replay,
     report,
-    run,
     simulate,
     tune,
 )
 from estimator.commands import import_ as import_command
 from estimator.commands.calibrate import app as calibrate
 from estimator.commands.common.groups import Group
+from estimator.commands.daemon import monitor, run, start
 from estimator.commands.fleet import app as fleet
 from estimator.commands.map import app as map_command
 from estimator.commands.vision import bench, locate, measure, overlay
@@ -119,6 +118,7 @@ app.command("run", short_help="Run the estimator in flight.", rich_help_panel=FL
 app.command("monitor", short_help="Watch a running daemon: mode, position, 95 % radius, sources.", rich_help_panel=FLY)(
     monitor.command
 )
+app.command("start", short_help="Start a daemon without GNSS, at a typed position.", rich_help_panel=FLY)(start.command)
 app.command("live", short_help="Show a running daemon, or play a log, in Foxglove.", rich_help_panel=FLY)(live.command)
 app.command("forecast", short_help="Predict the 95 % radius along a route without GPS.", rich_help_panel=FLY)(forecast.command)
 app.command("replay", rich_help_panel=LOGS)(replay.command)

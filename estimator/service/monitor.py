@@ -174,9 +174,9 @@ def connected(config: ZenohConfig, folder: Path, endpoint: str | None) -> Iterat
         yield session, endpoint
 
 
-def status(session: zenoh.Session) -> str:
-    """The daemon's status as JSON. Raises BusError."""
-    for reply in session.get("landfix/status", timeout=_ANSWER_S):
+def asked(session: zenoh.Session, query: str) -> str:
+    """The daemon's answer to one of its queries, "status" (JSON), "config" (TOML) ... Raises BusError."""
+    for reply in session.get(f"landfix/{query}", timeout=_ANSWER_S):
         if reply.ok is not None:
             return reply.ok.payload.to_string()
     raise BusError("the daemon does not answer; is landfix running, and may we ask?")

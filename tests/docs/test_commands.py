@@ -59,6 +59,7 @@ NOT_RUN = {
     "sim_vehicle.py ": "ArduPilot", "mode ": "ArduPilot", "arm ": "ArduPilot", "takeoff ": "ArduPilot", "rc ": "ArduPilot",
     "reboot": "ArduPilot", "param fetch": "ArduPilot",
     "landfix run ": "flies until it is stopped", "landfix monitor ": "watches until it is stopped",
+    "landfix start ": "tests/estimator/service/test_daemon.py",
     "landfix doctor -c examples/ardupilot_sitl.toml --autopilot ": "needs a simulator",
     **dict.fromkeys(
         (f"landfix {name} out/sitl/" for name in ("report", "doctor", "replay", "evaluate")), "of a flight in a simulator"

@@ -106,6 +106,11 @@ class OutputPolicy:
         return estimate.mode is Mode.AIDED and estimate.t_ns - self._gnss_ns > self._quiet_ns and not self.is_alarmed
 
     @property
+    def starts_without_gnss(self) -> bool:
+        """Whether outside fixes, and never the autopilot's own GNSS, have been fused."""
+        return self._outside_ns != _NEVER and self._gnss_ns == _NEVER
+
+    @property
     def is_alarmed(self) -> bool:
         """Whether integrity forbids the use of the estimate."""
         return self.integrity is not None and self.integrity.state is Alert.DO_NOT_USE

@@ -202,6 +202,12 @@ def global_position(e: Estimate, at: Place, time_usec: int, slot: int, system: i
     )
 
 
+def set_origin(origin: Vec3, geoid_m: float, system: int) -> Any:
+    """SET_GPS_GLOBAL_ORIGIN; origin: deg, deg, m above the ellipsoid. ArduPilot takes it if it has none."""
+    at = place(origin, geoid_m)
+    return mavlink.MAVLink_set_gps_global_origin_message(system, *_degrees_e7(at), round(1e3 * at.sea_m))
+
+
 def gps_input(e: Estimate, at: Place, time_usec: int, gps_id: int, utc_ns: int | None) -> Any:
     """GPS_INPUT without velocity; utc_ns: date if known, else week 0."""
     eph, epv = position_sigmas(e.covariance)

@@ -169,6 +169,9 @@ class MavlinkLink:
         has_none = self._local.place is None and self._clock.now_ns() - self._since_ns > _NO_ORIGIN_NS
         if not is_ardupilot and has_none:
             pose = ours  # PX4 without a place on Earth, indoors: its local frame is where odometry has it
+        elif has_none and estimate.origin is not None and self._policy.starts_without_gnss:
+            self._since_ns = self._clock.now_ns()
+            self._tell(codec.set_origin(estimate.origin, self._geoid_m, self._config.system))
         quality = self._policy.quality(estimate, one_source_at_a_time=is_ardupilot) if pose else -1
         self._announce(estimate, quality, knows_frame=pose is not None)
         pose, self._quality = pose or ours, quality

@@ -23,10 +23,12 @@ from estimator.service.base.status import TOPIC as DAEMON_TOPIC
 from estimator.service.daemon import Daemon
 from estimator.service.run import assembled
 from estimator.service.zenoh.bus import OUTPUTS
+from estimator.service.zenoh.keys import rmw_key
 from logs.store.reader import LogReader, Record
-from logs.wire.codec import Odometry, decode_odometry
+from logs.wire import schemas
+from logs.wire.codec import Odometry, decode_odometry, encode_input
 from logs.wire.schemas import STORE
-from models.messages import Array
+from models.messages import Array, ImuSample
 
 ODOMETRY = "/landfix/odometry"
 _PATIENCE_S = 180.0  # a machine may be busy; nothing here waits longer than it must
@@ -119,6 +121,25 @@ def fly(session: zenoh.Session, seconds: float, *, gnss_hz: float = 5.0, fix_hz:
             heard, since_s = len(vehicle.latency_ns), time.monotonic()
         time.sleep(0.02)
     return vehicle
+
+
+@contextmanager
+def standing(session: zenoh.Session) -> Iterator[None]:
+    """A vehicle that stands, 100 IMU samples a second, for as long as the context lasts."""
+    key, done = rmw_key(0, "/imu", schemas.IMU, schemas.type_hash(schemas.IMU)), threading.Event()
+
+    def measure() -> None:
+        while not done.wait(0.01):
+            now_ns = time.time_ns()
+            session.put(key, encode_input(ImuSample(now_ns, now_ns, (0.0, 0.0, 0.0), (0.0, 0.0, -9.80665))).data)
+
+    thread = threading.Thread(target=measure)
+    thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        thread.join()
 
 
 def logs_of(folder: Path) -> list[Path]:

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
+from typer.testing import CliRunner
 
-from benchmarks.service.vehicle import gnss, imu, pose_fix, truth
+from benchmarks.service.vehicle import ORIGIN, gnss, imu, pose_fix, truth
+from estimator.cli import app
 from estimator.config import parse
 from estimator.service.base.ports import Arrival
 from estimator.service.run import assembled
@@ -29,6 +31,7 @@ from tests.estimator.service.flying import (
     in_thread,
     logs_of,
     records,
+    standing,
     status,
     toml,
     until,
@@ -118,14 +121,30 @@ def test_ros_sees_the_node_and_its_topics(flown: tuple[Path, str, dict[str, int]
     assert "/landfix/tick" not in subscribed
 
 
-def test_with_no_log_it_flies_as_well_and_both_examples_work(tmp_path: Path) -> None:
+def test_with_no_log_it_starts_where_it_is_told_and_flies_and_both_examples_work(tmp_path: Path) -> None:
     port = free_port()
     text = toml(tmp_path, port, more="enabled = false\n[service]\nstate_file = ''")
     publish, subscribe = ([sys.executable, str(EXAMPLES / f"{name}.py")] for name in ("publish", "subscribe"))
     endpoint = f"tcp/127.0.0.1:{port}"
     with in_thread(parse(text), tmp_path), client(port) as session:
+        with standing(session):
+            typed = [
+                "start",
+                "--at",
+                f"{ORIGIN.lat_deg},{ORIGIN.lon_deg}",
+                "--heading",
+                "90",
+                "--sigma",
+                "2",
+                "--connect",
+                endpoint,
+            ]
+            first, second = (CliRunner().invoke(app, typed) for _ in range(2))
+        assert first.output.startswith("landfix has an estimate after "), first.output
+        assert second.exit_code == 1
+        assert "has an estimate already (mode aided)" in second.output
         subprocess.run([*publish, "0", "30", "40", "90", endpoint], check=True, timeout=180.0)
-        until(lambda: status(session).get("zenoh received") == "1", "the fix of the example is received")
+        until(lambda: b'"/pose_fix ' in ask(session, "landfix/status")[0], "the fix of the example is judged")
         with subprocess.Popen([*subscribe, "3", endpoint], stdout=subprocess.PIPE, text=True) as listener:
             for _ in range(20):
                 vehicle = fly(session, 1.5)

@@ -9,7 +9,7 @@ from estimator.config import load
 from estimator.service.zenoh.config import check, session_config
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
-VEHICLES = sorted(EXAMPLES.glob("vehicle*.toml"))
+VEHICLES = sorted([*EXAMPLES.glob("vehicle*.toml"), *EXAMPLES.glob("rigs/*.toml")])
 
 
 @pytest.mark.parametrize("file", VEHICLES, ids=lambda f: f.name)

@@ -262,6 +262,20 @@ def test_until_px4_has_had_time_to_answer_odometry_is_not_to_be_used() -> None:
         assert (last.quality > 0, last.x, last.y, last.z) == (True, 10.0, 20.0, -30.0)
 
 
+@pytest.mark.parametrize("own", [False, True], ids=["without-gnss", "with-its-gnss"])
+def test_an_ardupilot_without_an_origin_is_given_ours_where_no_gnss_of_its_own_was_fused(own: bool) -> None:
+    with _px4(kind=ARDUPILOT) as (link, _, clock, autopilot):
+        t_ns = clock.now_ns()
+        link._since_ns -= 6 * SECOND  # it has had time to answer
+        link.send([*([_fused(t_ns, "gnss_position")] if own else []), _fused(t_ns), _estimate(t_ns)], [])
+        autopilot.until(lambda: autopilot.of("ODOMETRY"), "odometry")
+        autopilot.listen(0.05)
+        given = [(m.latitude, m.longitude, m.altitude) for m in autopilot.of("SET_GPS_GLOBAL_ORIGIN")]
+        lat, lon, alt_m = ORIGIN.lla
+        assert given == ([] if own else [(round(lat * 1e7), round(lon * 1e7), round(1e3 * (alt_m - 47.5)))])
+        assert autopilot.of("ODOMETRY")[-1].quality == -1
+
+
 def test_a_change_of_integrity_is_said_once_and_ends_the_use_of_the_odometry() -> None:
     with _px4() as (link, _, clock, autopilot):
         for k, state in enumerate([Alert.USABLE, Alert.DO_NOT_USE, Alert.DO_NOT_USE, Alert.USABLE]):

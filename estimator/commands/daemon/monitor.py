@@ -36,6 +36,6 @@ def command(
     loaded = load(config)
     with monitor.connected(loaded.zenoh, config.parent if config else Path(), connect) as (session, endpoint):
         if json:
-            typer.echo(monitor.status(session))
+            typer.echo(monitor.asked(session, "status"))
         else:
             monitor.watch(session, loaded.zenoh.domain, endpoint, seconds, picture)
