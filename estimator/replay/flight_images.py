@@ -1,6 +1,6 @@
 """Images of a simulated flight, one random stream per pair.
 
-pose at exposure:  p + v dt,  R exp(omega dt)         from the truth's last IMU sample before it
+pose at exposure:  p + v dt,  R exp(omega dt)
 """
 
 import math

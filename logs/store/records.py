@@ -1,7 +1,6 @@
 """Whole MCAP records of a damaged file, in file order, without exceptions (mcap.dev/spec).
 
-Chunks of wrong CRC or beyond models.untrusted.limits are dropped. After damage reading goes on at the next chunk, up to
-_VAIN_RATIO times the file's size.
+Chunks of wrong CRC or beyond models.untrusted.limits are dropped. After damage reading goes on at the next chunk.
 """
 
 import contextlib

@@ -1,4 +1,4 @@
-"""Hypotheses without a receiver, which may be misled for minutes by an error of all readings (docs/decision.md).
+"""Hypotheses without a receiver, which may be misled for minutes (docs/decision.md).
 
 Replaced by a copy of the leading hypothesis at each fix that this one predicts better; one begins at a fix that no hypothesis
 takes, and is dropped where the next does not follow (wrong unit). An omitted receiver returns once its positions agree, its

@@ -3,8 +3,8 @@
     g_i = b z_i + d t_i + c + e_i,     b = C_zg / C_zz,     s = 1 / b                                     (least squares)
     sigma_b^2 = (C_gg - b C_zg) / ((3 n - 7) C_zz),     C_ab = S_ab - S_a . S_b / n - C_at . C_bt / C_tt
 
-Sums restart each minute. Wrong unit: s > 2 or s < 1/5, b six sigmas from one and from zero, a difference of metres beyond e,
-until a fit between explains the motion. (Draper and Smith 1998, ch. 1.)
+Sums restart each minute. Wrong unit: s > 2 or s < 1/5, b six sigmas from one and zero, a difference of metres beyond e. (Draper
+and Smith 1998, ch. 1.)
 """
 
 import math

@@ -3,8 +3,7 @@
     d_k = nu_k - 2 nu_{k-1} + nu_{k-2},   r_k = d_k^T (S_k + 4 S_{k-1} + S_{k-2})^-1 d_k
     R <- s R,   s = max(r_(8) / m_50 where r_(3) > chi2_0.96 and most nu_k^T S_k^-1 nu_k > chi2_0.9999, s^exp(-dt / tau))
 
-r_(k): k-th smallest of the last twelve; m_50: median of chi-square. Offsets, drifts and a wrong filter leave second differences
-small; an outlier makes three large.
+r_(k): k-th smallest of the last twelve; m_50: median of chi-square. An outlier makes three large.
 """
 
 import math

@@ -3,9 +3,7 @@
     p = pi L_1 / (pi L_1 + (1 - pi) L_0),   L_0 = N(nu; 0, S),   L_1 = N(nu; 0, S + sigma_b^2 dt^2 I)
     P_dd <- P_dd + max(p - pi, 0) u u^T,    u = R_0 nu / dt
 
-pi: share of false increments; sigma_b: of a drift that begins. An innovation that makes no drift more probable than before, as
-that of a noisy flow sensor, widens nothing. The first increment of a drift is often just inside the gate; the
-velocity follows it, and no later one is off.
+pi: share of false increments; sigma_b: of a drift that begins. An innovation that makes no drift more probable widens nothing.
 """
 
 import math

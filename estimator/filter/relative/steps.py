@@ -2,8 +2,7 @@
 
     w_k <- w_k + max(l_k - max_j l_j, -c),   l = ln N(nu; 0, S), or ln of the density of a false one
 
-An increment founds no hypothesis; one that fails the gate is left out. Where no position decides, P <- P + e e^T, e = K nu. The
-velocity by which increments may be wrong: drift.py.
+An increment founds no hypothesis; one that fails the gate is left out. Where no position decides, P <- P + e e^T, e = K nu.
 """
 
 from typing import NamedTuple

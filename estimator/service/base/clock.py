@@ -2,9 +2,8 @@
 
     now = wall(start) + steady - steady(start)
 
-A stamp t' of a clock ahead by a:  t = t' - a,  lag = arrival - t. One-way messages bound a by the quickest of the last seconds,
-a <= t' - arrival + delay; a question and answer within half the round trip (Cristian 1989). Disjoint intervals [a +- h] mean that
-the other clock stepped (Marzullo 1984).
+A stamp t' of a clock ahead by a:  t = t' - a,  lag = arrival - t. Bounds of a: the quickest one-way message,
+a <= t' - arrival + delay; half a round trip (Cristian 1989). Disjoint intervals [a +- h]: it stepped (Marzullo 1984).
 """
 
 import time

@@ -1,8 +1,8 @@
 """Each metric as a cost; more is worse.
 
-error       c = ln x              twice the error costs ln 2
+error       c = ln x
 consistency c = |ln x|            1 is consistent, too small is as bad as too large
-share       c = -x                more is better, differences count
+share       c = -x                differences count
 count       c = x                 differences count
 """
 

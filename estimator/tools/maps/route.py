@@ -1,6 +1,6 @@
 """A planned route, flown at constant speed with rounded corners.
 
-GPX       points of tracks, routes or waypoints       GeoJSON   the first LineString       CSV, text   latitude, longitude a line
+GPX       tracks, routes, waypoints       GeoJSON   the first LineString       CSV, text   latitude, longitude a line
 """
 
 import json
