@@ -31,8 +31,10 @@ class Search:
     """How far and how strictly correspondences are sought."""
 
     nearest_m: float = 4.0  # nothing is nearer than this
-    least_score: float = 0.55  # of the correlation coefficient of the edges
-    least_lead: float = 0.02  # over the next best position
+    clear_score: float = 0.55  # of the correlation coefficient of the edges
+    clear_lead: float = 0.02  # over the next best position, of a clear score
+    weak_score: float = 0.40  # reflections, other light: enough where no other position is like it
+    weak_lead: float = 0.20
     vertical_px: int = 6  # how far from its row a match is sought, to notice that rows do not fit
     template_px: int = 350  # pixels of a template at the coarse level
     cells: int = 24  # of a region, about
@@ -133,11 +135,9 @@ def _coarse(pair: _Pyramid, region: Region, offset: float, reach: float, search:
     low, high = int(np.floor((offset - reach) / size)), int(np.ceil((offset + reach) / size))
     scores = correlation.scan(left, right, pixels, low, high, 0)
     best = int(scores.argmax())
-    if scores[best] < search.least_score:
-        return f"no match: best correlation {max(scores[best], 0.0):.2f}"
     others = np.where(np.abs(np.arange(len(scores)) - best) > 2, scores, -1.0)
-    if others.max() > scores[best] - search.least_lead:
-        return "ambiguous: two positions fit alike"
+    if flaw := _flaw(float(scores[best]), float(others.max()), search):
+        return flaw
     shifted = pixels - np.array([low + best, 0], dtype=np.int32)
     back = correlation.scan(right, left, shifted, -(low + best) - 6, -(low + best) + 6, 0)
     if abs(int(back.argmax()) - 6) > 1:
@@ -161,11 +161,18 @@ def _to_the_pixel(pair: _Pyramid, rim: Pixels, disparity: int, search: Search) -
         vertical = found
     others = np.where(np.abs(np.arange(len(scores)) - best) > 2, scores, -1.0)
     peaks = others[1:-1][(others[1:-1] >= scores[:-2]) & (others[1:-1] >= scores[2:])]
-    if peaks.max(initial=-1.0) > scores[best] - search.least_lead:
-        return "ambiguous: two positions fit alike"
-    if scores[best] < search.least_score:
-        return f"no match: best correlation {max(scores[best], 0.0):.2f}"
-    return disparity, vertical
+    flaw = _flaw(float(scores[best]), float(peaks.max(initial=-1.0)), search)
+    return flaw or (disparity, vertical)
+
+
+def _flaw(score: float, second: float, search: Search) -> str:
+    """Why the best position is no match, or empty."""
+    if score < search.weak_score:
+        return f"no match: best correlation {max(score, 0.0):.2f}"
+    if score >= search.clear_score:
+        return "ambiguous: two positions fit alike" if second > score - search.clear_lead else ""
+    lead = f"{score - second:.2f} over the next, needed {search.weak_lead:g}"
+    return f"no match: best correlation {score:.2f}, {lead}" if second > score - search.weak_lead else ""
 
 
 def _fine(

@@ -132,6 +132,38 @@ def test_swapped_images_are_noticed() -> None:
     assert "behind the camera" in match.reason
 
 
+def _reflecting(image: Image, region: Region, rng: np.random.Generator) -> Image:
+    """Three soft lights on a region, of which the other camera sees others: what shines there is no mark of the surface."""
+    light, (v, u) = image.astype(np.float64), np.indices(image.shape[:2])
+    x, y, width, height = region.bbox
+    for _ in range(3):
+        u0, v0, s = rng.uniform(x, x + width), rng.uniform(y, y + height), rng.uniform(4.0, 9.0)
+        light += 30.0 * np.exp(-((u - u0) ** 2 + (v - v0) ** 2) / (2.0 * s * s))[..., None]
+    return np.clip(light, 0.0, 255.0).astype(np.uint8)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 5])
+def test_a_board_with_reflections_correlates_weakly_and_is_measured(seed: int) -> None:
+    rig, rng = stereo_scene.rig(), np.random.default_rng(seed)
+    left, right, _ = stereo_scene.board(rig, 10.0, noise=2.0)
+    region = regions_of(left)[0]
+    first, second = (grey(_reflecting(image, region, rng)) for image in (left, right))
+    (match,) = correspond(first, second, [region], rig)
+    assert isinstance(match, Match)
+    assert 0.40 < match.score < 0.55
+    assert abs(match.plane.coefficients[0] - 15.0) < 3.0 * np.sqrt(match.plane.covariance[0, 0]) < 0.12
+
+
+def test_two_similar_boards_in_one_pane_are_no_match() -> None:
+    """Half of the light is a reflection of the board, 30 px beside it."""
+    rig = stereo_scene.rig()
+    left, right, _ = stereo_scene.board(rig, 10.0, noise=2.0)
+    pane = (0.5 * right + 0.5 * np.roll(right, -30, axis=1)).astype(np.uint8)
+    (match,) = correspond(grey(left), grey(pane), regions_of(left)[:1], rig)
+    assert isinstance(match, Unmatched)
+    assert "over the next, needed 0.2" in match.reason
+
+
 def test_what_is_not_there_is_not_found() -> None:
     rig = stereo_scene.rig()
     left, _, _ = stereo_scene.board(rig, 9.0, seed=1)

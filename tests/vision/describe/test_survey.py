@@ -36,6 +36,21 @@ def test_roofs_are_found_with_and_without_their_colours(settings: Settings) -> N
     assert len(hits & inside) >= len(inside) - 1
 
 
+def test_cameras_of_different_height_are_rectified_first() -> None:
+    """The right camera sits 9 cm higher and 3 cm further back: a third of the baseline is across the rows."""
+    rig = msgspec.structs.replace(RIG, t_rc=np.array([-0.28, 0.09, 0.03]))
+    made, view = rectification(rig), roofs.view(3, 25.0, rig=rig)
+    found = seen(view.left, view.right, made)
+    assert found.problem is None
+    R = made.rig.R_bc.T @ rig.R_bc
+    truth = [c.mean(axis=0) @ R.T for c in view.roofs_c]
+    whole = [m for m in found.measured if not m.region.touches_border]
+    assert len(whole) >= 4
+    for m in whole:
+        e = m.centre_c - min(truth, key=lambda t: float(np.linalg.norm(t - m.centre_c)))
+        assert e @ np.linalg.solve(m.covariance_c, e) < 16.3  # chi-square of 3, 99.9 %
+
+
 def test_sixteen_bit_grey_images_pass() -> None:
     """A thermal pair: 14 bits in 16, hot roofs."""
     left, right = (cv2.cvtColor(x, cv2.COLOR_BGR2HSV)[..., 1].astype(np.uint16) * 30 + 7000 for x in (VIEW.left, VIEW.right))
