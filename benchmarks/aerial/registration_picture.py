@@ -34,7 +34,7 @@ def main() -> None:
     assert grid is not None
     assert isinstance(found, Registered)
     view, seen = camera_view(pyramid(shot.image), camera, grid, image)
-    known, _ = map_view(image, grid, _REACH)
+    known = map_view(image, grid, _REACH)
     a, b = structure(view), structure(known)
     scores = cv2.matchTemplate(b, a, cv2.TM_CCOEFF_NORMED, mask=seen.astype(np.float32))
     figure, axes = plt.subplots(2, 3, figsize=(12.0, 6.6), layout="constrained")

@@ -26,6 +26,7 @@ from vision.pose.point_pose import PointConfig, PointPose, Points, fit_points
 from vision.pose.pose import PoseEstimate
 
 Descriptors = NDArray[np.uint8]  # SIFT's are whole numbers
+Rows = NDArray[np.intp]
 _TREES: Final[dict[str, bool | int | float | str]] = {"algorithm": 1, "trees": 4}  # FLANN's randomised k-d trees
 _CHECKS: Final[dict[str, bool | int | float | str]] = {"checks": 64}
 _GRID: Final = 64  # points that tell what the camera sees
@@ -69,7 +70,7 @@ class FeatureMap:
         """Keypoints at pixels (N, 2), by georeference and heights."""
         return cls(image, image.points(px @ image.affine[:, :2].T + image.affine[:, 2]), descriptors)
 
-    def near(self, position_n: Array, radius_m: float) -> NDArray[np.intp]:
+    def near(self, position_n: Array, radius_m: float) -> Rows:
         """Rows of the keypoints within a circle about a position (2,)."""
         return np.flatnonzero(np.hypot(*(self.x_n[:, :2] - position_n).T) < radius_m)
 
@@ -135,15 +136,14 @@ def recognise(
         return NotRecognised("few_matches", f"{len(mine)} of {len(px)} features")
     sigma_px = _FEATURE_PX * math.hypot(2.0**level, map_image.pixel_m / grid.camera_m)
     matches = Matches(px[mine] * 2.0**level, known.x_n[rows[theirs]], sigma_px, config.inlier_px * 2.0**level)
-    return pose_of_matches(rig, matches, prior, map_image, config)
+    return pose_of_matches(rig, matches, first_inliers(rig, matches), prior, map_image, config)
 
 
 def pose_of_matches(
-    rig: StereoRig, matches: Matches, prior: Prior, map_image: GroundImage, config: FeatureConfig
+    rig: StereoRig, matches: Matches, agree: Rows, prior: Prior, map_image: GroundImage, config: FeatureConfig
 ) -> Recognised | NotRecognised:
-    """RANSAC, then the prior, whose scale, heading and tilt it must have."""
+    """The pose of RANSAC's inliers with the prior, whose scale, heading and tilt it must have."""
     px, x_n, sigma_px = matches.px, matches.x_n, matches.sigma_px
-    agree = _ransac(rig, px, x_n, matches.inlier_px)
     if len(agree) < _FEWEST:
         return NotRecognised("few_inliers", f"{len(agree)} of {len(px)} matches")
     pose, best = (_position(rig, prior.R_nb, px[agree], x_n[agree]), prior.R_nb), None
@@ -197,7 +197,7 @@ def _of_large(image: Image, most: int) -> tuple[Array, Descriptors]:
     return px, descriptors
 
 
-def _matches(mine: Descriptors, theirs: Descriptors, ratio: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _matches(mine: Descriptors, theirs: Descriptors, ratio: float) -> tuple[Rows, Rows]:
     cv2.setRNGSeed(0)  # the trees are random: a replay grows the same ones
     pairs = cv2.FlannBasedMatcher(_TREES, _CHECKS).knnMatch(mine.astype(np.float32), theirs.astype(np.float32), k=2)
     best: dict[int, cv2.DMatch] = {}
@@ -210,12 +210,13 @@ def _matches(mine: Descriptors, theirs: Descriptors, ratio: float) -> tuple[NDAr
     return np.array([m.queryIdx for m in good], dtype=np.intp), np.array([m.trainIdx for m in good], dtype=np.intp)
 
 
-def _ransac(rig: StereoRig, px: Array, x_n: Array, inlier_px: float) -> NDArray[np.intp]:
-    plane, middle, f = rig.left.undistort(px), x_n.mean(axis=0), 0.5 * (rig.left.fx + rig.left.fy)
+def first_inliers(rig: StereoRig, matches: Matches) -> Rows:
+    """Rows that fit one pose, by P3P in RANSAC, without the prior."""
+    x_n, plane, f = matches.x_n, rig.left.undistort(matches.px), 0.5 * (rig.left.fx + rig.left.fy)
     try:
         done, _, _, rows = cv2.solvePnPRansac(
-            x_n - middle, plane, np.eye(3), None, iterationsCount=2000, reprojectionError=inlier_px / f, confidence=0.9999,
-            flags=cv2.SOLVEPNP_P3P,
+            x_n - x_n.mean(axis=0), plane, np.eye(3), None, iterationsCount=2000, reprojectionError=matches.inlier_px / f,
+            confidence=0.9999, flags=cv2.SOLVEPNP_P3P,
         )  # fmt: skip
     except cv2.error:
         return np.empty(0, dtype=np.intp)

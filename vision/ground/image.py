@@ -32,6 +32,12 @@ class Heights:
     unevenness_m: float
     slope: float = 0.0
 
+    @cached_property
+    def _only(self) -> float | None:
+        """The height of level ground."""
+        first = float(self.down[0, 0])
+        return first if (self.down == first).all() else None
+
     @classmethod
     def level(cls, down: float, unevenness_m: float = 3.0, slope: float = 0.05) -> "Heights":
         """The same everywhere."""
@@ -39,6 +45,8 @@ class Heights:
 
     def at(self, position_n: Array) -> Array:
         """Down (N,) of positions (N, 2) north, east."""
+        if self._only is not None:
+            return np.full(len(position_n), self._only)
         height, width = self.down.shape
         u, v = to_pixels(self.affine, position_n).T
         u, v = np.clip(u, 0.0, width - 1.0), np.clip(v, 0.0, height - 1.0)
@@ -94,14 +102,16 @@ class GroundImage:
     def contains(self, position_n: Array) -> NDArray[np.bool_]:
         """Positions (N, 2) within the image."""
         px, (height, width) = self.to_pixels(position_n), self.image.shape[:2]
-        inside: NDArray[np.bool_] = np.all((px >= 0.0) & (px <= (width - 1.0, height - 1.0)), axis=1)
+        u, v = px.T
+        inside: NDArray[np.bool_] = (u >= 0.0) & (u <= width - 1.0) & (v >= 0.0) & (v <= height - 1.0)
         return inside
 
 
 def to_pixels(affine: Array, position_n: Array) -> Array:
     """The inverse of an affine (2, 3)."""
-    px: Array = (position_n - affine[:, 2]) @ np.linalg.inv(affine[:, :2]).T
-    return px
+    inverse = np.linalg.inv(affine[:, :2])
+    x, y = (position_n - affine[:, 2]).T
+    return np.column_stack((inverse[0, 0] * x + inverse[0, 1] * y, inverse[1, 0] * x + inverse[1, 1] * y))
 
 
 def pyramid(image: Image) -> tuple[Image, ...]:
@@ -114,7 +124,7 @@ def pyramid(image: Image) -> tuple[Image, ...]:
 
 def sample(levels: tuple[Image, ...], px: Array, ratio: float) -> Float:
     """Grey values at px (h, w, 2) of level 0, `ratio` pixels apart, anti-aliased."""
-    level = int(np.clip(np.floor(np.log2(max(ratio, 1.0))), 0, len(levels) - 1))
+    level = _level(levels, ratio)
     image = levels[level]
     height, width = image.shape
     u, v = np.moveaxis(px * 2.0**-level, -1, 0)
@@ -122,8 +132,30 @@ def sample(levels: tuple[Image, ...], px: Array, ratio: float) -> Float:
     left, top = int(u.min()), int(v.min())
     part = image[top : int(v.max()) + 2, left : int(u.max()) + 2].astype(np.float32)  # a map is far larger than what is seen
     at = (u - left).astype(np.float32), (v - top).astype(np.float32)
-    values = cv2.remap(part, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    rest = ratio / 2.0**level
+    return _smooth(cv2.remap(part, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), ratio / 2.0**level)
+
+
+def sample_affine(levels: tuple[Image, ...], affine: Array, shape: tuple[int, int], ratio: float) -> Float:
+    """The same at px = affine (column, row, 1), affine (2, 3), of `shape` (h, w)."""
+    level = _level(levels, ratio)
+    image, (height, width) = levels[level], shape
+    affine = affine * 2.0**-level
+    corners = affine @ np.array([[0.0, width - 1.0, 0.0, width - 1.0], [0.0, 0.0, height - 1.0, height - 1.0], [1.0] * 4])
+    last = np.array(image.shape[::-1]) - 1
+    low, high = (np.clip(np.floor(end), 0, last).astype(int) for end in (corners.min(axis=1), corners.max(axis=1)))
+    part = image[low[1] : high[1] + 2, low[0] : high[0] + 2].astype(np.float32)
+    affine[:, 2] -= low
+    how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    values = cv2.warpAffine(part, affine, (width, height), flags=how, borderMode=cv2.BORDER_REPLICATE)
+    return _smooth(values, ratio / 2.0**level)
+
+
+def _level(levels: tuple[Image, ...], ratio: float) -> int:
+    return int(np.clip(np.floor(np.log2(max(ratio, 1.0))), 0, len(levels) - 1))
+
+
+def _smooth(values: cv2.typing.MatLike, rest: float) -> Float:
+    """Without what points `rest` pixels apart cannot show."""
     if rest > 1.2:
         values = cv2.GaussianBlur(values, (0, 0), 0.35 * float(np.sqrt(1.0 - rest**-2)))
     return values.astype(np.float32, copy=False)

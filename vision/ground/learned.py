@@ -14,7 +14,7 @@ import numpy as np
 from models.camera import StereoRig
 from models.messages import Array
 from models.prior import Prior
-from vision.ground.features import FeatureConfig, Matches, NotRecognised, Recognised, pose_of_matches
+from vision.ground.features import FeatureConfig, Matches, NotRecognised, Recognised, first_inliers, pose_of_matches
 from vision.ground.image import Float, GroundImage, pyramid, sample
 from vision.ground.search import shift_of_ground
 from vision.ground.view import Mask, make_grid
@@ -26,7 +26,8 @@ _WIDEST: Final = 2.0  # of the map's view: beyond it the ground is too small in 
 _STEEPEST: Final = 0.05  # least sine of a ray below the horizon
 _FEATURE_PX: Final = 1.0  # of a keypoint's position in the extractor's input
 _INLIER_PX: Final = 4.0  # the same, of RANSAC
-_TERMS: Final = 5  # of the intersection of a ray with the heights
+_TERMS: Final = 5  # of the intersection of a ray with the heights, at most
+_LEVEL_M: Final = 1e-3  # a change of height that moves no point
 _MOVED: Final = 1.9  # as a peak's in peak.py: of the unevenness, common to all matches, the more the fewer of them agree
 _LEAST: Final = 8  # keypoints, and matches
 _JUDGED = FeatureConfig()
@@ -118,12 +119,13 @@ def recognise_learned(
         return NotRecognised("few_matches", f"{good.sum()} of {len(mine[0])} features")
     sigma_px = math.hypot(_FEATURE_PX * wide * unit_px, 0.5 * map_image.pixel_m / grid.camera_m)
     matches = Matches(px[good], x_n[good], sigma_px, _INLIER_PX * wide * unit_px)
-    found = pose_of_matches(rig, matches, prior, map_image, _JUDGED)
+    agree = first_inliers(rig, matches)
+    found = pose_of_matches(rig, matches, agree, prior, map_image, _JUDGED)
     if isinstance(found, NotRecognised):
         return found
     moved_m = _MOVED * map_image.heights.unevenness_m * (1.0 - found.inliers / found.matched) ** 4
     less_sure = replace(map_image, sigma_m=math.hypot(map_image.sigma_m, moved_m))
-    return pose_of_matches(rig, matches, prior, less_sure, _JUDGED)
+    return pose_of_matches(rig, matches, agree, prior, less_sure, _JUDGED)
 
 
 def _views(
@@ -161,7 +163,9 @@ def _on_ground(rays: Array, pose: tuple[Array, Array], map_image: GroundImage) -
     down = np.full(len(d), float(map_image.heights.at(p_nc[None, :2])[0]))
     position: Array = np.zeros((len(d), 2))
     for _ in range(_TERMS):
-        position = p_nc[:2] + d[:, :2] * ((down - p_nc[2]) / d[:, 2])[:, None]
+        position, before = p_nc[:2] + d[:, :2] * ((down - p_nc[2]) / d[:, 2])[:, None], down
         down = map_image.heights.at(position)
+        if np.abs(down - before).max() < _LEVEL_M:
+            break
     good &= down > p_nc[2]
     return np.column_stack((position, down)), good

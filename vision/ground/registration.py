@@ -20,7 +20,7 @@ from models.messages import Array
 from models.prior import Prior
 from vision.ground.image import Float, GroundImage, pyramid
 from vision.ground.search import BLUR_PX, PLAIN, NotRegistered, Peak, RegistrationConfig, curvature_at, search, structure
-from vision.ground.view import Camera, Grid, camera_view, make_grid, map_view
+from vision.ground.view import Camera, Grid, camera_view, make_grid, map_known, map_view
 from vision.image.rectify import Image
 from vision.pose.point_pose import PointConfig, Points, fit_points
 from vision.pose.pose import PoseEstimate
@@ -132,8 +132,8 @@ def _blocks(
     grid = make_grid(camera, map_image, most)
     if grid is None:
         return _Matched.none()
-    (view, seen), (ground, known) = camera_view(levels, camera, grid, map_image), map_view(map_image, grid, reach)
-    template, image = structure(view), structure(ground)
+    (view, seen), known = camera_view(levels, camera, grid, map_image), map_known(map_image, grid, reach)
+    template, image = structure(view), structure(map_view(map_image, grid, reach))
     rows, columns = (range(n % side // 2, n - side + 1, side) for n in grid.shape)
     found, tried = [], 0
     for y, x in product(rows, columns):

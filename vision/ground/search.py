@@ -23,7 +23,7 @@ from vision.describe.correspond import sobel
 from vision.ground.image import Float, GroundImage
 from vision.ground.orientation import coefficient, directions
 from vision.ground.ridge import LOBE_PX, Ridge, find_line, where_evidence_is
-from vision.ground.view import Camera, Grid, Mask, camera_view, make_grid, map_view
+from vision.ground.view import Camera, Grid, Mask, camera_view, make_grid, map_known, map_view
 from vision.image.rectify import Image
 
 BLUR_PX = 1.0
@@ -119,7 +119,7 @@ def search(
     turns = [(float(yaw), 1.0 + float(scale)) for yaw, scale in product(yaws, scales) if scale > -0.5]
     view, seen = camera_view(levels, camera, grid, map_image)
     mask = cv2.erode(seen.astype(np.float32), np.ones((5, 5)), borderValue=1.0).astype(np.float32)
-    known = map_view(map_image, grid, reach)[1]
+    known = map_known(map_image, grid, reach)
     if mask.mean() < 0.2 or known.mean() < 0.5:
         return NotRegistered("outside", f"the map's image shows {known.mean():.0%} of that the camera may see")
     template = structure(view)
@@ -127,7 +127,7 @@ def search(
         return NotRegistered("no_structure", "the image shows nothing that could be compared")
     extent = config.reach_sigma**2 * covariance + np.eye(2)
     inside = _ellipse(extent, reach)
-    scores = np.stack([_correlation(structure(map_view(map_image, grid.turned(*t), reach)[0]), template, mask) for t in turns])
+    scores = np.stack([_correlation(structure(map_view(map_image, grid.turned(*t), reach)), template, mask) for t in turns])
     searched = _Searched(np.where(inside, scores, np.float32(-1.0)), inside, extent, turns, grid)
     peak = _stands_out(searched, ground, prior)
     if isinstance(peak, NotRegistered):
@@ -178,7 +178,7 @@ def _with_evidence(
 ) -> Peak:
     (k, i, j), reach, grid = searched.best, len(searched.inside) // 2, searched.grid
     turned, (height, width) = grid.turned(*searched.turns[k]), grid.shape
-    ground = map_view(map_image, turned, reach)[0]
+    ground = map_view(map_image, turned, reach)
     image, (view, template, mask) = structure(ground), seen
     line = find_line(searched.scores, searched.inside, searched.extent, ratio)
     same = coefficient(directions(ground, image), directions(view, template), mask, (i, j))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from models.camera import CameraModel
 from models.messages import Array
-from vision.ground.image import Float, GroundImage, sample
+from vision.ground.image import Float, GroundImage, sample, sample_affine
 from vision.image.rectify import Image
 
 Mask = NDArray[np.bool_]
@@ -40,9 +40,9 @@ class Grid:
 
     def positions(self, margin: int = 0) -> Array:
         """Positions with a margin: (h + 2 margin, w + 2 margin, 2)."""
-        rows, columns = (np.arange(-margin, n + margin, dtype=np.float64) for n in self.shape)
-        at = np.stack(np.meshgrid(columns, rows), axis=-1)
-        return self.position(at.reshape(-1, 2)).reshape(at.shape)
+        rows, columns = (self.q * (np.arange(-margin, n + margin) - 0.5 * (n - 1.0)) for n in self.shape)
+        positions: Array = self.centre + (columns[:, None] * self.axes[:, 0] + rows[:, None, None] * self.axes[:, 1])
+        return positions
 
     def turned(self, yaw: float, scale: float) -> "Grid":
         """Turned from north to east and stretched, about its centre."""
@@ -93,9 +93,17 @@ def camera_view(levels: tuple[Image, ...], camera: Camera, grid: Grid, map_image
     return values, model.contains(px, _BORDER_PX).reshape(grid.shape)
 
 
-def map_view(map_image: GroundImage, grid: Grid, margin: int) -> tuple[Float, Mask]:
-    """Grey values of the map's image on the grid plus margin, and where they exist."""
+def map_view(map_image: GroundImage, grid: Grid, margin: int) -> Float:
+    """Grey values of the map's image on the grid plus margin."""
+    first, *neighbours = map_image.to_pixels(grid.position(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]) - margin))
+    affine = np.column_stack((*(one - first for one in neighbours), first))
+    height, width = (n + 2 * margin for n in grid.shape)
+    return sample_affine(map_image.pyramid, affine, (height, width), grid.q / map_image.pixel_m)
+
+
+def map_known(map_image: GroundImage, grid: Grid, margin: int) -> Mask:
+    """Where the map's image shows the grid plus margin."""
     positions = grid.positions(margin)
-    flat = positions.reshape(-1, 2)
-    values = sample(map_image.pyramid, map_image.to_pixels(flat).reshape(positions.shape), grid.q / map_image.pixel_m)
-    return values, map_image.contains(flat).reshape(positions.shape[:2])
+    if map_image.contains(positions[[0, 0, -1, -1], [0, -1, 0, -1]]).all():
+        return np.ones(positions.shape[:2], dtype=np.bool_)
+    return map_image.contains(positions.reshape(-1, 2)).reshape(positions.shape[:2])
