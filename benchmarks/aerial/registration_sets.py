@@ -155,7 +155,7 @@ def oblique(ground: GroundImage, known: MapImage, number: int, seed: int) -> Sce
         if all(_covered(there, ground, rig, pose) > _COVERED for pose in poses):
             light = cv2.resize(rng.normal(0.0, 0.15, (4, 5)), (OBLIQUE.width, OBLIQUE.height), interpolation=cv2.INTER_CUBIC)
             for pose in poses:
-                image = 255.0 * (_seen(ground.image, ground, rig, pose) / 255.0) ** 1.2 * (1.0 + light[..., None])
+                image = 255.0 * (drawn_view(ground.image, ground, rig, pose) / 255.0) ** 1.2 * (1.0 + light[..., None])
                 image = np.clip(image + rng.normal(0.0, 4.0, image.shape), 0.0, 255.0).astype(np.uint8)
                 taken.append(Taken(len(taken) * _APART_NS, image, *pose, nust.REFERENCE_M))
     return Scene(rig, known, taken)
@@ -172,7 +172,7 @@ def _covered(there: Image, ground: GroundImage, rig: StereoRig, pose: tuple[Arra
     return float(there[at[inside, 1], at[inside, 0]].sum()) / len(at)
 
 
-def _seen(image: Image, ground: GroundImage, rig: StereoRig, pose: tuple[Array, Array]) -> Array:
+def drawn_view(image: Image, ground: GroundImage, rig: StereoRig, pose: tuple[Array, Array]) -> Array:
     """An image on the ground's plane as the camera sees it: drawn twice as fine, then averaged."""
     p_nc, R_nc = rig.camera_pose(*pose)
     down = float(ground.heights.at(p_nc[None, :2])[0])

@@ -114,7 +114,11 @@ def search(
     step, counts = _turns(grid, prior, float(ground[2] - prior.p_n[2]), config.reach_sigma)
     number = math.prod(2 * n + 1 for n in counts)
     if reach > config.coarse or number > config.most_turns:
-        return NotRegistered("prior_too_wide", f"{reach * grid.q:.0f} m each way, {number} headings and heights")
+        return NotRegistered(
+            "prior_too_wide",
+            f"{reach * grid.q:.0f} m each way ({config.coarse * grid.q:.0f} would do), {number} headings and heights "
+            f"({config.most_turns} would do)",
+        )
     yaws, scales = (step * np.arange(-n, n + 1.0) for n in counts)
     turns = [(float(yaw), 1.0 + float(scale)) for yaw, scale in product(yaws, scales) if scale > -0.5]
     view, seen = camera_view(levels, camera, grid, map_image)
