@@ -3,7 +3,7 @@ benchmarks.identification.images`.
 
 Look-alikes (+-10 % in size, 25 m apart), villages, grids; 30 % not in the map, 10 % of it gone; map errors 0.3 m. Wrong fix: with
 the prior more than 3 m off and outside its 99.99 % ellipsoid. Wrong identity: a landmark of the fix that is not there. Seeds are
-pooled, with --resume earlier ones too. Writes identification_pictures.md and .png to --out.
+pooled, with --resume earlier ones too. Writes identification_pictures.md to --out.
 """
 
 import argparse
@@ -14,7 +14,6 @@ from pathlib import Path
 from time import process_time
 
 import cv2
-import matplotlib.pyplot as plt
 import msgspec
 import numpy as np
 from scipy.stats import chi2
@@ -156,34 +155,6 @@ def height_table(cells: Cells) -> Table:
     return Table("Pairs with 3 regions or more that gave a fix, by height", columns, rows)
 
 
-def draw(cells: Cells, path: Path) -> None:
-    """Acceptance by world and prior, and over height, with its standard error."""
-    fig, (left, right) = plt.subplots(1, 2, figsize=(11.0, 4.2), layout="constrained", sharey=True)
-    colours = {5.0: "#0072B2", 10.0: "#009E73", 20.0: "#D55E00"}
-    for k, prior_m in enumerate(PRIORS_M):
-        of_layout = [accepted(cells[layout, prior_m]) for layout in LAYOUTS]
-        left.bar(np.arange(len(LAYOUTS)) + 0.27 * (k - 1), _rates(of_layout), width=0.25, color=colours[prior_m])
-        of_all = [o for (_, prior), outcomes in cells.items() if prior == prior_m for o in outcomes]
-        bands = [accepted([o for o in of_all if low <= o.height_m < high]) for low, high in HEIGHTS_M]
-        rate = _rates(bands)
-        error = [math.sqrt(max(p * (1.0 - p), 1.0 / max(n, 1)) / max(n, 1)) for p, (_, n) in zip(rate, bands, strict=True)]
-        at, name = np.mean(HEIGHTS_M, axis=1) + 0.5 * (k - 1), f"prior {prior_m:.0f} m"
-        right.errorbar(at, rate, error, fmt="o-", ms=4, capsize=2, color=colours[prior_m], label=name)
-    left.set(xticks=range(len(LAYOUTS)), xticklabels=LAYOUTS, ylabel="share of pairs with a fix", ylim=(0.0, 1.02))
-    right.set(xlabel="height [m]")
-    right.legend(fontsize=8, loc="lower right")
-    for axes in (left, right):
-        axes.axhline(0.5, color="0.6", lw=0.8)
-        axes.grid(visible=True, alpha=0.25)
-    fig.suptitle("Rendered pairs with 3 regions or more")
-    fig.savefig(path, dpi=130)
-    plt.close(fig)
-
-
-def _rates(counts: list[tuple[int, int]]) -> list[float]:
-    return [part / max(whole, 1) for part, whole in counts]
-
-
 def report(cells: Cells, cameras: str) -> str:
     """All tables."""
     everything = [o for outcomes in cells.values() for o in outcomes]
@@ -225,7 +196,6 @@ def main() -> None:
     text = report(cells, "left images alone" if args.one_camera else "stereo pairs")
     print(text)
     (args.out / f"identification_pictures{which}.md").write_text(text)
-    draw(cells, args.out / f"identification_pictures{which}.png")
 
 
 if __name__ == "__main__":
