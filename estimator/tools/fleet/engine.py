@@ -18,6 +18,7 @@ AHEAD: Final = 3
 _RETRIES: Final = 3  # of a task whose store failed for longer than the store's client retries
 _DASHBOARD: Final = "127.0.0.1:0"  # any free port, of this machine only
 _POLL_S: Final = 0.02
+_ANSWERS: Final = "10s"  # a scheduler
 _ASK_S: Final = 10.0  # without a result, whether there are workers
 _WITHOUT_WORKER_S: Final = 300.0  # to start again on a loaded machine, or for a cluster to grow
 _REFRESH: Final = 64  # results; a cluster that grows is noticed
@@ -43,7 +44,7 @@ def cluster(jobs: int | None, scheduler: str = "") -> Iterator[Client]:
             yield client
         return
     try:
-        client = Client(scheduler, timeout="10s")
+        client = Client(scheduler, timeout=_ANSWERS)
     except (OSError, ValueError) as error:
         raise FleetError(f"{scheduler}: no scheduler answers ({' '.join(str(error).split())[:100]})") from None
     with client:

@@ -8,6 +8,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from estimator.cli import app
+from estimator.tools.fleet import engine
 
 ROOT = Path(__file__).parents[4]
 
@@ -63,7 +64,10 @@ def test_rows_are_shown_and_asked(results: Path) -> None:
         (("compare", "{}/nothing", "--labels", "a,b"), "no label a"),
     ],
 )
-def test_what_cannot_be_done_is_said_in_one_line(fleet: Path, tmp_path: Path, arguments: tuple[str, ...], line: str) -> None:
+def test_what_cannot_be_done_is_said_in_one_line(
+    fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], line: str
+) -> None:
+    monkeypatch.setattr(engine, "_ANSWERS", "0.5s")
     done = landfix(*(a.format(tmp_path, log=fleet / "0.mcap") for a in arguments))
     assert done.exit_code == 1
     assert line in done.stderr

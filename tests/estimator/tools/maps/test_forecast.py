@@ -118,5 +118,7 @@ def test_the_command_draws_and_prints_and_its_exit_code_is_the_verdict(tmp_path:
     assert "not fit" in said.stdout
     assert "no landmark in view" in said.stdout
     assert (tmp_path / "f.png").stat().st_size > 20_000
+    (tmp_path / "short.csv").write_text("\n".join(f"{lat}, {lon}" for lat, lon in places((0.0, 0.0), (160.0, 0.0))))
+    args[1] = str(tmp_path / "short.csv")
     loose = CliRunner().invoke(app, [*args, "--limit", "5000", "--json"])
     assert (loose.exit_code, json.loads(loose.stdout)["fit"]) == (0, True)

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 from estimator.cli import app
 from estimator.config import load, parse
+from estimator.tools.fleet import engine
 from estimator.tools.tune.keys import KEYS
 from estimator.tools.tune.score import Job, Window
 from estimator.tools.tune.search import Gain, TuneConfig, TunedKey, Tuner, TuneResult, summary, warning
@@ -207,7 +208,10 @@ def test_the_same_over_a_scheduler(short_flights: tuple[list[Path], Path], alone
     assert there == alone
 
 
-def test_what_cannot_be_tuned_is_said_in_one_line(short_flights: tuple[list[Path], Path], tmp_path: Path) -> None:
+def test_what_cannot_be_tuned_is_said_in_one_line(
+    short_flights: tuple[list[Path], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(engine, "_ANSWERS", "0.5s")
     (first, *_), config = short_flights
     out = str(tmp_path / "tuned.toml")
     cases = {
