@@ -90,7 +90,7 @@ def _print(found: "Comparison", out: Path | None) -> None:
     print_table(title, rows, ("metric", "flights", "worse", "better", "median change", "p"))
     if groups := [(g.value, str(g.pairs), str(g.worse), str(g.better)) for g in found.groups]:
         print_table(f"By {found.by}", groups, (found.by, "flights", "worse", "better"))
-    if worst := [(c.log, words(c)) for c in found.changes if c.worse > 0.0][:_MOST_LINES]:
+    if worst := [(c.log, words(c)) for c in found.changes if c.worse > found.least][:_MOST_LINES]:
         print_table("The worst", worst, ("flight", "change"))
     if found.differing:
         note(f"landfix: the inputs of {found.differing} flights are not the same under both labels")

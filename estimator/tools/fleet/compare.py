@@ -64,13 +64,14 @@ class Broken(msgspec.Struct, frozen=True):
 
 
 class Comparison(msgspec.Struct, frozen=True):
-    """changes: flights with both rows, worst first; only: with one row; differing: other inputs."""
+    """changes: flights with both rows, worst first; least: cost that counts; only: with one row; differing: other inputs."""
 
     labels: tuple[str, str]
     pairs: int
     differing: int
     only_before: int
     only_after: int
+    least: float
     better: int
     worse: int
     metrics: tuple[MetricChange, ...]
@@ -105,6 +106,7 @@ def compare(
         differing=sum(before[log]["inputs_sha256"] != after[log]["inputs_sha256"] for log in both),
         only_before=len(before) - len(both),
         only_after=len(after) - len(both),
+        least=least,
         better=sum(c.worse < -least for c in changes),
         worse=sum(c.worse > least for c in changes),
         metrics=tuple(_metric(m, [(before[log], after[log]) for log in both], spread[m]) for m in METRICS),

@@ -27,13 +27,16 @@ def write(c: Comparison, reports: Mapping[str, Links]) -> str:
     metrics = [_metric(m) for m in c.metrics if m.worse or m.better]
     equal = ", ".join(m.metric for m in c.metrics if m.pairs and not m.worse and not m.better)
     groups = [(g.value, str(g.pairs), str(g.worse), str(g.better), f"{g.median_percent:+.2f} %") for g in c.groups]
-    worse, better = [x for x in c.changes if x.worse > 0][:_MOST], [x for x in c.changes[::-1] if x.worse < 0][:_MOST]
+    worse = [x for x in c.changes if x.worse > c.least][:_MOST]
+    better = [x for x in c.changes[::-1] if x.worse < -c.least][:_MOST]
+    remark = f"A flight is as much worse as the worst of {', '.join(RANKED)}."
+    remark += "" if reports else " Reports of the worst flights, before and after: the same command with --reports 10."
     body = head + "".join((
         table(("", (), facts)),
         table(("Metrics", ("metric", "flights", "worse", "better", "noise", "median change", "p (signed rank)"), metrics)),
         f'<p class="faint">Equal on all flights: {text(equal)}.</p>' if equal else "",
         table((f"By {c.by}", (c.by, "flights", "worse", "better", "median change"), groups)),
-        f'<p class="faint">A flight is as much worse as the worst of {text(", ".join(RANKED))}.</p>' if worse or better else "",
+        f'<p class="faint">{text(remark)}</p>' if worse or better else "",
         _flights("Worse, the worst first", worse, reports),
         _flights("Better, the best first", better, reports),
     ))  # fmt: skip

@@ -43,7 +43,8 @@ def test_equal_runs_show_no_difference(tmp_path: Path) -> None:
 
 
 def test_the_worst_flight_comes_first(tmp_path: Path) -> None:
-    found = compared(tmp_path, {3: {"rmse_m": 2.6}, 5: {"nees_position": 4.0}, 7: {"rmse_m": 0.85}, 9: {"error": "no IMU"}})
+    after = {3: {"rmse_m": 2.6}, 5: {"nees_position": 4.0}, 7: {"rmse_m": 0.85}, 9: {"error": "no IMU"}, 11: {"rmse_m": 2.105}}
+    found = compared(tmp_path, after)
     assert [c.log[-8:-5] for c in found.changes][:3] == ["009", "005", "003"]
     assert found.changes[-1].log.endswith("007.mcap")
     assert (found.worse, found.better) == (3, 1)
@@ -52,7 +53,9 @@ def test_the_worst_flight_comes_first(tmp_path: Path) -> None:
     assert page.index("009.mcap") < page.index("005.mcap") < page.index("003.mcap") < page.index("007.mcap")
     assert '<a href="page-reports/2-after.html">after</a>' in page
     assert "Equal on all flights: max_m, nis_per_dof, refusals, resets." in page
+    assert "011.mcap" not in page  # 0.2 %: does not count
     assert "<th>report</th>" not in write(found, {})
+    assert "--reports 10" in write(found, {})
 
 
 def test_too_small_a_covariance_and_too_large_a_one_are_worse(tmp_path: Path) -> None:
