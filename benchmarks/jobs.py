@@ -42,7 +42,7 @@ def run_jobs(
         for name, result in results.items():  # anew: the last line may have been cut off
             file.write(_line(name, result))
         file.flush()  # nothing is lost when the process is killed before its first job is done
-        done = results_of(client, _alone, left, _importable(work))
+        done = results_of(client, _alone, left, importable(work))
         for job, outcome in track(done, "jobs", len(left), console=Console(stderr=True)):
             if isinstance(outcome, Exception):
                 raise outcome
@@ -59,7 +59,7 @@ def _alone(job: Job, work: Callable[[Job], Result]) -> Result:
     return work(job)
 
 
-def _importable(work: Callable[[Job], Result]) -> Callable[[Job], Result]:
+def importable(work: Callable[[Job], Result]) -> Callable[[Job], Result]:
     """The function under the name by which a worker imports it, also where its module was started with python -m."""
     if work.__module__ != "__main__":
         return work

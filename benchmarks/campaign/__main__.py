@@ -11,13 +11,12 @@ Writes report.md and results.json.
 import argparse
 import os
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 import msgspec
 from rich.box import SIMPLE
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import track
 from rich.table import Table as RichTable
 
 from benchmarks.campaign import flights as campaign_flights
@@ -25,7 +24,10 @@ from benchmarks.campaign import report as campaign_report
 from benchmarks.campaign import runs as campaign_runs
 from benchmarks.campaign import statistics as campaign_statistics
 from benchmarks.campaign.statistics import Result
+from benchmarks.jobs import importable
 from benchmarks.tables import Table
+from estimator.tools.fleet.engine import cluster
+from estimator.tools.fleet.engine import results as results_of
 
 OUT = Path(__file__).parents[2] / "out" / "campaign"
 FLIGHTS = {flight.name: flight for flight in campaign_flights.matched() + campaign_flights.mismatched()}
@@ -45,7 +47,8 @@ def main() -> None:
     write(arguments.out, results)
 
 
-def fly(name: str, seed: int) -> campaign_runs.Score:
+def fly(job: tuple[str, int]) -> campaign_runs.Score:
+    name, seed = job
     return campaign_runs.run(FLIGHTS[name], seed)
 
 
@@ -78,19 +81,12 @@ def chosen(beginnings: Sequence[str] | None) -> set[str]:
 
 def run_all(jobs: list[tuple[str, int]], processes: int) -> dict[tuple[str, int], campaign_runs.Score]:
     """The score of each flight and seed; one that fails stops everything, with its name and seed."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     results: dict[tuple[str, int], campaign_runs.Score] = {}
-    with Progress(*columns) as progress, ProcessPoolExecutor(processes) as pool:
-        bar = progress.add_task("flights", total=len(jobs))
-        futures = {pool.submit(fly, *job): job for job in jobs}
-        for future in as_completed(futures):
-            name, seed = futures[future]
-            try:
-                results[name, seed] = future.result()
-            except Exception as error:
-                pool.shutdown(cancel_futures=True)
-                raise RuntimeError(f"{name}, seed {seed} failed") from error
-            progress.update(bar, advance=1, description=f"{name:22}")
+    with cluster(processes) as client:
+        for job, outcome in track(results_of(client, importable(fly), jobs), "flights", len(jobs)):
+            if isinstance(outcome, Exception):
+                raise RuntimeError(f"{job[0]}, seed {job[1]} failed") from outcome
+            results[job] = outcome
     return results
 
 

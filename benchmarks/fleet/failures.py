@@ -6,7 +6,6 @@ What has a row in OUT is not computed again.
 
 import os
 import signal
-import threading
 from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
@@ -27,7 +26,6 @@ from estimator.tools.fleet.store import flights
 
 BLOCK = 50
 FAILING = 0.05
-KILL_AFTER_S = 5.0
 CLEAN, STORMY = "clean", "stormy"
 
 
@@ -62,12 +60,8 @@ def block(
     for label in labels:
         application.share = FAILING if label == STORMY else 0.0
         gets, failed = application.gets, application.failed
-        killed = threading.Event()
-        timer = threading.Timer(KILL_AFTER_S, kill_one, (client, killed))
-        if kill and label == STORMY:
-            timer.start()
-        done = run(found, settings_of(label, None, "/truth"), str(out / "results"), client)
-        timer.cancel()
+        killer = Killer(client, armed=kill and label == STORMY)
+        done = run(found, settings_of(label, None, "/truth"), str(out / "results"), client, killer)
         application.share = 0.0
         line = {
             "label": label,
@@ -75,7 +69,7 @@ def block(
             "unfinished": len(done.unfinished),
             "requests": application.gets - gets,
             "failed_requests": application.failed - failed,
-            "killed": killed.is_set(),
+            "killed": killer.killed,
             "client_mb": memory_mb(),
             "workers_mb": sorted(client.run(memory_mb).values()),
         }
@@ -91,10 +85,17 @@ def memory_mb() -> float:
     return round(pages * os.sysconf("SC_PAGE_SIZE") / 2**20, 1)
 
 
-def kill_one(client: Client, killed: threading.Event) -> None:
-    """Kill a worker."""
-    os.kill(next(iter(client.run(os.getpid).values())), signal.SIGKILL)
-    killed.set()
+class Killer:
+    """Kills a worker when half of the flights are done; stands where a run has its progress bar."""
+
+    def __init__(self, client: Client, *, armed: bool) -> None:
+        self._client, self._armed, self.killed = client, armed, False
+
+    def __call__(self, fraction: float, _: str) -> None:
+        """A flight is done."""
+        if self._armed and fraction >= 0.5:
+            os.kill(next(iter(self._client.run(os.getpid).values())), signal.SIGKILL)
+            self._armed, self.killed = False, True
 
 
 def summary(out: Path) -> dict[str, Any]:

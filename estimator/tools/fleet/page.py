@@ -27,7 +27,7 @@ def write(c: Comparison, reports: Mapping[str, Links]) -> str:
     metrics = [_metric(m) for m in c.metrics if m.worse or m.better]
     equal = ", ".join(m.metric for m in c.metrics if m.pairs and not m.worse and not m.better)
     groups = [(g.value, str(g.pairs), str(g.worse), str(g.better), f"{g.median_percent:+.2f} %") for g in c.groups]
-    worse = [x for x in c.changes if x.worse > c.least][:_MOST]
+    worse = [x for x in c.changes if x.worse > (0.0 if x.log in reports else c.least)][:_MOST]
     better = [x for x in c.changes[::-1] if x.worse < -c.least][:_MOST]
     remark = f"A flight is as much worse as the worst of {', '.join(RANKED)}."
     remark += "" if reports else " Reports of the worst flights, before and after: the same command with --reports 10."
