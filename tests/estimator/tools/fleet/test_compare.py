@@ -43,7 +43,13 @@ def test_equal_runs_show_no_difference(tmp_path: Path) -> None:
 
 
 def test_the_worst_flight_comes_first(tmp_path: Path) -> None:
-    after = {3: {"rmse_m": 2.6}, 5: {"nees_position": 4.0}, 7: {"rmse_m": 0.85}, 9: {"error": "no IMU"}, 11: {"rmse_m": 2.105}}
+    after: dict[int, dict[str, Any]] = {
+        3: {"rmse_m": 2.6},
+        5: {"nees_position": 4.0},
+        7: {"rmse_m": 0.85},
+        9: {"error": "no IMU"},
+        11: {"rmse_m": 2.105},
+    }
     found = compared(tmp_path, after)
     assert [c.log[-8:-5] for c in found.changes][:3] == ["009", "005", "003"]
     assert found.changes[-1].log.endswith("007.mcap")
