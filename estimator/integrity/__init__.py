@@ -1,4 +1,4 @@
-"""A bound on the position error at a stated risk, and an alert.
+"""A bound on the position error, and an alert.
 
 Begin with protection.py. May import estimator.filter, estimator.sources, models.
 """

@@ -1,4 +1,4 @@
-"""Georeferenced images, and colours of roofs in them.
+"""Georeferenced images.
 
 GeoTIFF, or a world file (.pgw, .jgw, .tfw, .wld) and a .prj:
 
@@ -38,7 +38,7 @@ _STRETCH = (1.0, 99.0)  # percentiles of a 16-bit image that become 0 and 255
 
 
 class Orthophoto(NamedTuple):
-    """Image (H, W, 3) BGR or (H, W) grey, affine A (2, 3), EPSG code of x and y."""
+    """Image (H, W[, 3]), affine A (2, 3), EPSG code of x and y."""
 
     image: NDArray[np.uint8]
     affine: Array

@@ -1,6 +1,6 @@
 """The loop: messages through Fusion.handle, outputs to links and log.
 
-Links, log and state file have own threads. Fusion gets the logged bytes: a replay is equal to the bit.
+Fusion gets the logged bytes: a replay is equal to the bit.
 """
 
 from collections.abc import Callable, Sequence

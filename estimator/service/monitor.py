@@ -175,7 +175,7 @@ def connected(config: ZenohConfig, folder: Path, endpoint: str | None) -> Iterat
 
 
 def asked(session: zenoh.Session, query: str) -> str:
-    """The daemon's answer to one of its queries, "status" (JSON), "config" (TOML) ... Raises BusError."""
+    """The daemon's answer to "status" (JSON), "config" (TOML) ... Raises BusError."""
     for reply in session.get(f"landfix/{query}", timeout=_ANSWER_S):
         if reply.ok is not None:
             return reply.ok.payload.to_string()

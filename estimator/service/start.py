@@ -1,4 +1,4 @@
-"""A start without GNSS: the position, and perhaps the heading, of a vehicle that stands still, as a person has measured them.
+"""A start without GNSS: position, and perhaps heading, of a vehicle that stands still.
 
 Sent as fixes with one error that all of them share (LandmarkFix.landmark_errors), so that ten are worth one.
 """

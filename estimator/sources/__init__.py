@@ -1,4 +1,4 @@
-"""One file a source: checks of its messages, measurement, trust.
+"""One file a source.
 
 Pure. Begin with `aids`, `base.aid`. May import models.
 """

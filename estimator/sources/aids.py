@@ -1,6 +1,6 @@
 """Registry of the sources' sections and measurements.
 
-An own sensor: a subclass of SensorConfig here, a line in SourcesConfig, an entry in logs/wire/sensors.py (docs/own_sensor.md).
+An own sensor: docs/own_sensor.md.
 """
 
 import math

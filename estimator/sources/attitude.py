@@ -1,6 +1,6 @@
 """An autopilot's attitude as a prior for the alignment.
 
-Never fused in flight: it rests on the same IMU and GNSS.
+Never fused in flight.
 """
 
 from typing import Final

@@ -1,4 +1,4 @@
-"""A barometer: height above its first reading, by the standard atmosphere.
+"""A barometer: height above its first reading.
 
     z = h + s_0 + s_1 h + v,   h = -p_d
 

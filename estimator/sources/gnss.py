@@ -1,6 +1,6 @@
 """GNSS: position on the ellipsoid, velocity over ground.
 
-White covariance of the receiver, and slow considered errors of position and velocity (atmosphere, multipath, receiver filter).
+White covariance of the receiver, and slow considered errors (atmosphere, multipath, receiver filter).
 """
 
 import math

@@ -102,7 +102,7 @@ class Posed(NamedTuple):
 class Kept(NamedTuple):
     """The pose kept for a topic since t_ns, for increment `name` until until_ns.
 
-    pose: in the odometry's frame; newest: last pose since, its time and velocity there, m/s.
+    pose: in the odometry's frame; newest: last pose since, time, velocity, m/s.
     """
 
     t_ns: int
@@ -288,7 +288,7 @@ def spread_at(state: SourceState, t_ns: int) -> tuple[float, float]:
 
 
 def drifting(aid: OdometryAid, origin: Array, seconds: float) -> OdometryAid:
-    """With a possible velocity error d in n (considered); origin: kept pose (7,).
+    """With a velocity error d in n (considered); origin: kept pose (7,).
 
     dp_measured = dp + R_0^T d dt,   sigma_d = DRIFT_M_S in each axis
     """

@@ -46,7 +46,7 @@ class RestConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rest:
-    """psi_0 near azimuth; gyro_b: mean rate (3,), rad/s; earth_n: Earth rate in n, rad/s; noise (7, 7)."""
+    """psi_0 near azimuth; gyro_b (3,): mean rate, earth_n: Earth rate, rad/s."""
 
     azimuth: float
     gyro_b: Array

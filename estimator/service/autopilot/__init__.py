@@ -1,4 +1,4 @@
-"""Output to an autopilot: clock, output policy, units and frames of messages.
+"""Output to an autopilot.
 
-May import estimator.service.base, logs and models.
+May import estimator.service.base, logs, models.
 """

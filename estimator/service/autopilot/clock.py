@@ -1,4 +1,4 @@
-"""The autopilot's clock since boot: from TIMESYNC within half a round trip, else from its messages.
+"""The autopilot's clock: from TIMESYNC within half a round trip, else from its messages.
 
 Off by over two seconds: implausible; five in a row: a reboot.
 """

@@ -171,7 +171,7 @@ def local_reference(data: bytes) -> Vec3 | None:
 def receiver(data: bytes, geoid_m: float, topic: str) -> tuple[GnssFix, GnssVelocity | None] | None:
     """Of a SensorGps (1.15 to 1.18), stamps PX4's; None: too short.
 
-    Height above the sea and geoid_m without one above the ellipsoid; sigma 0: not given.
+    Sigma 0: not given.
     """
     if len(data) < _GPS.size:
         return None
@@ -191,7 +191,7 @@ def receiver(data: bytes, geoid_m: float, topic: str) -> tuple[GnssFix, GnssVelo
 def vehicle_odometry(
     e: Estimate, pose: tuple[Vec3, Array], sent_us: int, sample_us: int, counter: int, quality: int
 ) -> bytes | None:
-    """The estimate in NED, attitude variances about the body's axes; None: a number does not fit.
+    """The estimate in NED; None: a number does not fit.
 
     pose: position and q_nb in PX4's frame; v = R_pose R_nb^T v_n.
     """

@@ -42,7 +42,7 @@ class ClockConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Clock:
-    """Nanoseconds since 1970: the wall clock at the start, carried on by the monotonic clock.
+    """ns since 1970: the wall clock at the start, carried on by the monotonic clock.
 
     anchor_ns: wall - steady of an earlier daemon of this boot.
     """

@@ -8,6 +8,6 @@ _NICE: Final = -10  # as in examples/systemd: with 30 other computations on two 
 
 
 def precede() -> None:
-    """Ask for a nice value of -10 for this thread and those that it starts; without the right to, it stays as it is."""
+    """A nice value of -10 for this thread and those that it starts, where permitted."""
     with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, min(_NICE, os.getpriority(os.PRIO_PROCESS, 0)))

@@ -1,4 +1,4 @@
-"""The log's thread: writes the queue, flushes every 50 ms (kill -9 loses < 0.1 s), rotates files.
+"""The log's thread: flushes every 50 ms (kill -9 loses < 0.1 s), rotates files.
 
 A slow disk loses outputs first, then images, inputs last.
 """

@@ -147,7 +147,7 @@ def gnss_velocity(message: Any, t_ns: int, topic: str) -> GnssVelocity | None:
 
 
 def odometry(e: Estimate, pose: Pose, time_usec: int, counter: int, quality: int, autopilot: int) -> Any:
-    """ODOMETRY as the autopilot expects: body velocity, attitude variances about the body's axes.
+    """ODOMETRY: body velocity, attitude variances about the body's axes.
 
     pose: position [m] and q_nb in its frame. At quality -1 ArduPilot gets its largest sigmas.
     """

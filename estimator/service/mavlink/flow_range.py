@@ -1,4 +1,4 @@
-"""Range to the ground for optical flow: of the message, a range finder, or height above level ground.
+"""Range for optical flow: of the message, a range finder, or height above level ground.
 
 r = h / (R_nb)_zz,   h = -p_d - ground_m,   sigma_r^2 = (P_pd + sigma_ground^2) / (R_nb)_zz^2
 """

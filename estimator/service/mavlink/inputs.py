@@ -1,4 +1,4 @@
-"""The autopilot's messages as measurements: topics, and which to request.
+"""The autopilot's messages as measurements.
 
 IMU: HIGHRES_IMU, else RAW_IMU (ArduPilot) or SCALED_IMU (`coarse`: 0.01 m/s^2, 0.001 rad/s); others: SCALED_IMU2, 3.
 """

@@ -1,7 +1,7 @@
-"""Between daemon and vision processes: msgpack, not pickle: answers are data only.
+"""Between daemon and vision: msgpack, not pickle: data only.
 
 Question, Drawing                     to the process
-Ready, Unable, Compiling, Answer      from it: bounded, and of no topic but those of vision
+Ready, Unable, Compiling, Answer      from it: bounded, of vision's topics only
 """
 
 from multiprocessing.connection import Connection

@@ -1,4 +1,4 @@
-"""Vision in its own process: a crash or hang does not affect the estimator.
+"""Vision in its own process.
 
 Of waiting pairs the newest goes. A dead or late process is restarted, each time later; compiling extends its time.
 """
@@ -82,7 +82,7 @@ def serve(pipe: Connection, rig_file: Path, map_file: Path | None, origin: Vec3 
 def answer_until_closed(pipe: Connection, load: Callable[[], tuple[int, Respond]], warm: Callable[[], None]) -> None:
     """load(): the cameras' time offset [ns] and the processor, or ConfigError; warm(): compiles.
 
-    Sends Ready or Unable first; Compiling may come before any answer.
+    Sends Ready or Unable first.
     """
     _give_way()
     from estimator.service.base.compilation import listen  # noqa: PLC0415  (numba is slow to import)

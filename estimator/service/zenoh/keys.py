@@ -1,4 +1,4 @@
-"""Topics as keys of Zenoh, and their attachments.
+"""Topics as keys of Zenoh.
 
 rmw_zenoh   <domain>/<topic>/<pkg>::msg::dds_::<Type>_/RIHS01_<hash>      attachment: sequence, time sent, 16, id of the sender
 ros2dds     <topic>                                                       no attachment

@@ -1,6 +1,6 @@
 """PX4's zenoh module as an Outbox.
 
-Stamps are PX4's, from fmu/out/...; nothing is sent before. Quality -1 until EKF2's origin is known (vehicle_local_position).
+Stamps are PX4's, from fmu/out/...; quality -1 until EKF2's origin is known.
 """
 
 import struct

@@ -1,4 +1,4 @@
-"""Motion through the air and the wind: airspeed, drag of a multirotor.
+"""Motion through the air, and the wind.
 
 Begin with `wind`. May import estimator.sources.base, estimator.sources.rest, models.
 """

@@ -38,7 +38,7 @@ def is_scale(block: str) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AirVelocity:
-    """z_b: (m,) m/s, components `rows` of R^T (v - w); noise (m, m); wind_n: m/s, north, east."""
+    """z_b (m,): components `rows` of R^T (v - w), m/s; wind_n: m/s, north, east."""
 
     z_b: Array
     noise: Array
@@ -70,7 +70,7 @@ class AirVelocity:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DragForce:
-    """f_b: (2,) mean specific force along x, y, m/s^2, of sigma; wind_n as above; linear: k, 1/s; square: c, 1/m."""
+    """f_b (2,): mean specific force along x, y, m/s^2; linear: k, 1/s; square: c, 1/m."""
 
     f_b: Array
     sigma: float

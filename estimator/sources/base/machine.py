@@ -44,7 +44,7 @@ class SourceState(msgspec.Struct, frozen=True):
     spread_m: tuple[float, float] = (math.inf, 0.0)  # of odometry: smallest and largest sigma of late, fading since last_ns
 
     def arrive(self, rules: Rules, t_ns: int, *, alone: bool) -> "SourceState":
-        """A measurement of t_ns arrives; alone: no other absolute source is active.
+        """A measurement arrives; alone: no other absolute source is active.
 
         Alone, a refuted sensor stays stopped.
         """
@@ -88,7 +88,7 @@ class SourceState(msgspec.Struct, frozen=True):
         )
 
     def judge(self, rules: Rules, t_ns: int, *, alone: bool, passed: bool, fused: bool, nu: Array, sigma: Array) -> "SourceState":
-        """The measurement passed its gate or not, was fused or not.
+        """The measurement passed its gate or not.
 
         A drift is the source's only beside an independent source.
         """

@@ -1,6 +1,6 @@
 """Is an IMU sample usable, the stream plausible?
 
-Refused: mean specific force near one (g) or zero (gravity removed), rates beyond rad/s.
+Refused: mean specific force near one or zero, rates beyond rad/s.
 """
 
 import math
