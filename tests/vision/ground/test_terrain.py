@@ -68,7 +68,6 @@ def _errors(slope_deg: float, *, raster: bool) -> tuple[list[float], list[float]
 
 def test_slopes_of_20_degrees_with_their_heights() -> None:
     flat, slopes = _errors(0.0, raster=True), _errors(20.0, raster=True)
-    print(flat, slopes)
     assert len(flat[0]) == 4
     assert len(slopes[0]) == 4
     assert np.median(slopes[0]) < 1.5 * np.median(flat[0])
