@@ -26,7 +26,7 @@ _SAME_WAY, _TINY = 0.5, 1e-30  # cosine: two directions at random in six dimensi
 
 
 class Contradiction(NamedTuple):
-    """unforeseen: consecutive unpredicted fixes; last: time and position (3,) of two."""
+    """unforeseen: consecutive unpredicted fixes; last: two."""
 
     unforeseen: int = 0
     since_ns: int = 0

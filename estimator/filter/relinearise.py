@@ -49,7 +49,7 @@ class Taken(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """x (16,) and cov (n, n), slow errors included, at the start, and the measurements since.
+    """x (16,) and cov (n, n) at the start, and the measurements since.
 
     Last run: path; sigma (9,) of attitude and biases; run_at: measurements; moved_at: those of the last run with an effect.
     """

@@ -34,7 +34,7 @@ _FUTURE_NS = 1_000_000_000  # a stamp further ahead of its stream's clock is a b
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Smoothed:
-    """n nodes: every aid, and at least every 0.1 s.
+    """n nodes: aids, and every 0.1 s.
 
     nav (n, 16): packed NavState; covariance (n, 15, 15); gyro_b (n, 3) without bias, rad/s; segment (n,); place: lat_deg,
     lon_deg, alt_m of the origin.

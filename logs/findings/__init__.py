@@ -6,7 +6,7 @@
     for finding in watch.findings():        # the most likely cause first
         print(finding)
 
-A cause is a function of the streams; memory is bounded. May import models.
+Memory is bounded. May import models.
 """
 
 from logs.findings.streams import Finding

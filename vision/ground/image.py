@@ -136,7 +136,7 @@ def sample(levels: tuple[Image, ...], px: Array, ratio: float) -> Float:
 
 
 def sample_affine(levels: tuple[Image, ...], affine: Array, shape: tuple[int, int], ratio: float) -> Float:
-    """The same at px = affine (column, row, 1), affine (2, 3), of `shape` (h, w)."""
+    """The same at px = affine (column, row, 1), of `shape` (h, w)."""
     level = _level(levels, ratio)
     image, (height, width) = levels[level], shape
     affine = affine * 2.0**-level

@@ -25,7 +25,7 @@ _AIDED_NS: Final = 3_000_000_000  # after a position; then the mode is dead_reck
 class Decision(NamedTuple):
     """Decision on a measurement.
 
-    position: innovation and sigma, (3,) each, NED m, or None.
+    position: innovation and sigma, (3,) NED m, or None.
     """
 
     reason: Reason

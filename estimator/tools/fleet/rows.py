@@ -18,7 +18,7 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     """One flight under one label.
 
     key: of inputs, configuration, program, options; nis, refused: by "topic kind" and reason; *_exceeded: errors above the level;
-    available: share within alert limits; outage_end_m: RMS; error: why no result.
+    available: share within alert limits; outage_end_m: RMS.
     """
 
     key: str

@@ -33,7 +33,7 @@ _SPACING_NS: Final = 8_000_000  # of the estimates kept: hours fit into memory, 
 class Flight:
     """A log without pixels.
 
-    odometry: thinned; stamps_ns: by image topic; exposures_ns: of requests; identified: landmarks by exposure.
+    stamps_ns: by image topic; exposures_ns: of requests; identified: landmarks by exposure.
     """
 
     path: Path

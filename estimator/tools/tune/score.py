@@ -41,7 +41,7 @@ Absolute = PoseFix | LandmarkFix | GnssFix
 
 
 class Job(msgspec.Struct, frozen=True):
-    """One log and configuration; values: "section.key" -> number replacing those of `config` (TOML).
+    """values: "section.key" -> number replacing those of `config` (TOML).
 
     outage_s: of windows and between them; truth: topic of poses instead of fixes.
     """

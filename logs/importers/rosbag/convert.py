@@ -1,6 +1,6 @@
 """A bag to a log under its own topics, and its configuration.
 
-Bytes are kept; missing stamps, or those of another clock, become recording times.
+Missing stamps, or those of another clock, become recording times.
 """
 
 from collections.abc import Callable, Iterator, Mapping
