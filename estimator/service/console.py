@@ -26,7 +26,7 @@ class Console:
     """Prints until the context ends; say() and note() never block or raise."""
 
     def __init__(self, *, quiet: bool = True) -> None:
-        self._quiet = quiet
+        self.quiet = quiet
         self._lines: Queue[str] = Queue(_WAITING_LINES)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="console", daemon=True)
@@ -37,7 +37,7 @@ class Console:
         self._malformed = Counter[str]()
 
     def __enter__(self) -> Self:
-        if not self._quiet:
+        if not self.quiet:
             self._thread.start()
         return self
 
@@ -48,7 +48,7 @@ class Console:
 
     def say(self, line: str) -> None:
         """Print one line."""
-        if not self._quiet:
+        if not self.quiet:
             with contextlib.suppress(Full):
                 self._lines.put_nowait(line)
 
@@ -85,7 +85,7 @@ class Console:
 
     def closed(self, logs: Sequence[Path], lost_inputs: int) -> None:
         """Print each log file's size and completeness."""
-        if self._quiet:
+        if self.quiet:
             return
         for topic, count in self._malformed.items():
             self.say(f"malformed messages on {topic}: {count}")

@@ -22,6 +22,7 @@ from estimator.service.base.mailbox import Mailbox
 from estimator.service.base.ports import Arrival, Outbox
 from estimator.service.base.priority import precede
 from estimator.service.base.status import Status
+from estimator.service.causes import CauseFinder
 from estimator.service.console import Console
 from estimator.service.daemon import Daemon, ServiceConfig
 from estimator.service.log import state_file
@@ -189,7 +190,7 @@ def assembled(
             status=status,
             track=track,
             alive=alive,
-            watchers=[console.note, *([keeper.note] if keeper else [])],
+            watchers=[console.note, *(part.note for part in (keeper, _causes(stack, config, log, console)) if part)],
         )
         if last := state_file.usable(saved, clock.now_ns(), digest, config.service.warm_restart_s):
             daemon.take(Arrival(CHECKPOINT_TOPIC, schemas.CHECKPOINT, last.checkpoint, clock.now_ns()))
@@ -300,6 +301,14 @@ def _log(
     stack.callback(lambda: console.closed(log.files, log.state.lost_inputs))  # callbacks run in reverse order: after log.close
     stack.callback(log.close)
     return log
+
+
+def _causes(stack: ExitStack, config: RunConfig, log: LogWriter | _NoLog, console: Console) -> CauseFinder | None:
+    if console.quiet or isinstance(log, _NoLog):
+        return None
+    finder = CauseFinder(config.toml(), lambda: log.state.file, console.say)
+    stack.callback(finder.close)
+    return finder
 
 
 def _keeper(stack: ExitStack, path: Path | None, clock: Clock, digest: str) -> StateKeeper | None:
