@@ -207,6 +207,22 @@ def _pose(turn: bool, factor: float) -> Change:
     return changed
 
 
+def east_north_up(m: Messages, _: np.random.Generator) -> Messages:
+    """Poses in ROS's frame, taken for north, east, down."""
+    to_enu = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    out: Messages = []
+    for x in m:
+        assert isinstance(x, PoseFix)
+        w, *v = (to_enu * Rotation.from_quat([*x.q_nb_wxyz[1:], x.q_nb_wxyz[0]])).as_quat()[[3, 0, 1, 2]].tolist()
+        out.append(replace(x, p_n=tuple(to_enu.apply(x.p_n).tolist()), q_nb_wxyz=(w, *v)))
+    return out
+
+
+def level_poses(m: Messages, _: np.random.Generator) -> Messages:
+    """Positions with an attitude that never changes."""
+    return [replace(x, q_nb_wxyz=(1.0, 0.0, 0.0, 0.0)) for x in m if isinstance(x, PoseFix)]
+
+
 DEG: Final = 180.0 / np.pi
 _ALL = ("imu", "gnss", "velocity", "pose", "baro", "field")
 _STEPS, _SPEED = ("jump", "fall back"), ("times the speed", "drift")
@@ -240,6 +256,8 @@ FAULTS: Final[dict[str, Fault]] = {
     "velocity exchanged": Fault("velocity", _velocity(lambda v: v[[1, 0, 2]]), ("exchanged",)),
     "velocity reversed": Fault("velocity", _velocity(lambda v: -v), ("reversed",)),
     "pose turned": Fault("pose", _pose(True, 1.0), ("turned",)),
+    "pose east north up": Fault("pose", east_north_up, ("gravity",)),
+    "pose level": Fault("pose", level_poses, ("attitude does not fit",)),
     "odometry turned": Fault("odometry", _pose(True, 1.0), ("turned",)),
     "baro in hPa": Fault("baro", _reading(lambda v: 0.01 * v), ("hPa",)),
     "field mirrored": Fault("field", _reading(lambda v: v * [1.0, -1.0, 1.0]), ("mirrored",)),

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from logs.findings import clocks, held, inertial, position, turning
+from logs.findings import clocks, held, inertial, position, pull, turning
 from logs.findings.streams import ATTITUDE, FIX, IMU, POSE, TURNING, VELOCITY, Cause, Finding, Stream, Streams
 from models.messages import Vec3
 
@@ -87,6 +87,8 @@ def _turns(streams: Streams, name: str, imu: Stream) -> Iterator[tuple[str, str,
         if cause := turning.misturned(found, streams[n], name):
             yield n, "turn", cause
     for n, s in streams.items():
+        if s.kind == POSE and n not in bad and (cause := pull.pulled(imu, s)):
+            yield n, "pull", cause
         if s.kind == _FIELD and (cause := turning.field(turned, s)):
             headings = [n for n, other in streams.items() if other.kind == "attitude"]
             more = f"; leave out the autopilot's heading that rests on it ({', '.join(headings)})" if headings else ""

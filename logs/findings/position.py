@@ -115,7 +115,12 @@ def of_velocity(found: Relation) -> str:
 def of_position(found: Relation) -> str:
     """Error of a position (b) against fixes (a)."""
     named = of_velocity(found)
-    return _unit(found.scale, _LENGTH_UNITS) if not found.mirrored and found.angle_deg <= 10.0 else named
+    return of_scale(found.scale) if not found.mirrored and found.angle_deg <= 10.0 else named
+
+
+def of_scale(scale: float) -> str:
+    """Error of a length's unit."""
+    return _unit(scale, _LENGTH_UNITS)
 
 
 def pressure(stream: Stream) -> Cause | None:

@@ -23,6 +23,8 @@ from models.messages import (
 IMU, FIX, VELOCITY, POSE, ODOMETRY, ATTITUDE = "imu", "gnss", "gnss_velocity", "pose_fix", "odometry", "attitude"
 TURNING: tuple[str, ...] = (POSE, ODOMETRY, ATTITUDE)  # their last four values are a quaternion q_nb or q_ob
 
+_NOT_GIVEN_RAD2, _NO_TURN = 10.0, (0.0, 0.0, 0.0, 0.0)  # a variance of so much or more gives nothing
+
 
 class Cause(NamedTuple):
     """A stream's fault; since_s: arrival clock; advice: remedy; unfit: useless as IMU."""
@@ -71,7 +73,7 @@ OfStream: TypeAlias = Callable[[Stream], Cause | None]
 
 
 def row(message: Input) -> tuple[str, tuple[float, ...]] | None:
-    """Kind and values: gyro, accel; lat, lon, alt, sigma; v_n; p, q; q; a reading's."""
+    """Kind and values: gyro, accel; lat, lon, alt, sigma; v_n; p, q (0: not given); q; a reading's."""
     match message:
         case ImuSample():
             return IMU, (*message.gyro_b, *message.accel_b)
@@ -81,7 +83,8 @@ def row(message: Input) -> tuple[str, tuple[float, ...]] | None:
         case GnssVelocity():
             return VELOCITY, message.v_n
         case PoseFix() | LandmarkFix():
-            return POSE, (*message.p_n, *message.q_nb_wxyz)
+            given = bool((np.diagonal(message.covariance)[3:] < _NOT_GIVEN_RAD2).all())
+            return POSE, (*message.p_n, *(message.q_nb_wxyz if given else _NO_TURN))
         case OdometryPose():
             return ODOMETRY, (*message.p_o, *message.q_ob_wxyz)
         case AttitudePrior():

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from logs.findings import Finding
+from logs.findings import Finding, pull
 from logs.findings.judge import judged
-from logs.findings.streams import FIX, IMU, ODOMETRY, POSE, VELOCITY, Stream
+from logs.findings.streams import FIX, IMU, ODOMETRY, POSE, VELOCITY, Stream, row
 from models.frames import GRAVITY
-from models.messages import Array, Vec3
+from models.messages import Array, PoseFix, Vec3
 
 ORIGIN = (47.4, 8.5, 500.0)
 RATES = {"/imu": (IMU, 100.0), "/gnss": (FIX, 5.0), "/gnss/velocity": (VELOCITY, 5.0), "/pose_fix": (POSE, 2.0),
@@ -22,13 +22,13 @@ Fault = Callable[[Stream, np.random.Generator], tuple[Stream, str]]
 
 def _values(kind: str, t: Array, rng: np.random.Generator, lean: float) -> Array:
     """Of a vehicle that weaves along a curve; lean: rad, amplitude of roll and pitch."""
-    p = np.stack([60.0 * np.sin(0.2 * t), 40.0 * np.sin(0.13 * t + 1.0), -20.0 - 5.0 * np.sin(0.3 * t)], axis=1)
+    p = _position(t)
     R = _attitude(t, lean)
     q = (R * Rotation.from_rotvec(rng.normal(scale=0.005, size=(len(t), 3)))).as_quat()[:, [3, 0, 1, 2]]
     if kind == IMU:
         h = 1e-3
         rate = (_attitude(t - h, lean).inv() * _attitude(t + h, lean)).as_rotvec() / (2 * h)
-        force = R.inv().apply([0.0, 0.0, -GRAVITY])
+        force = R.inv().apply((_position(t - h) - 2.0 * p + _position(t + h)) / h**2 - [0.0, 0.0, GRAVITY])
         return np.hstack([rate + rng.normal(scale=0.01, size=rate.shape), force + rng.normal(scale=0.1, size=force.shape)])
     if kind == FIX:
         lla = ORIGIN + (p + rng.normal(scale=0.5, size=p.shape)) / [111_195.0, 111_195.0 * np.cos(np.radians(ORIGIN[0])), -1.0]
@@ -40,6 +40,10 @@ def _values(kind: str, t: Array, rng: np.random.Generator, lean: float) -> Array
     if kind == "baro":
         return 95_000.0 + 12.0 * p[:, 2:] + rng.normal(scale=5.0, size=(len(t), 1))
     return np.hstack([p + rng.normal(scale=0.1, size=p.shape), q])
+
+
+def _position(t: Array) -> Array:
+    return np.stack([60.0 * np.sin(0.2 * t), 40.0 * np.sin(0.13 * t + 1.0), -20.0 - 5.0 * np.sin(0.3 * t)], axis=1)
 
 
 def _attitude(t: Array, lean: float) -> Rotation:
@@ -130,6 +134,18 @@ def _camera(s: Stream, _: np.random.Generator) -> tuple[Stream, str]:
     return s._replace(values=np.hstack([s.values[:, :3], R.as_quat()[:, [3, 0, 1, 2]]])), "turned by"
 
 
+def _east_north_up(s: Stream, _: np.random.Generator) -> tuple[Stream, str]:
+    to_enu = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    R = Rotation.from_matrix(to_enu) * Rotation.from_quat(s.values[:, [4, 5, 6, 3]])
+    return s._replace(values=np.hstack([s.values[:, :3] @ to_enu, R.as_quat()[:, [3, 0, 1, 2]]])), "from gravity"
+
+
+def _level(s: Stream, _: np.random.Generator) -> tuple[Stream, str]:
+    return s._replace(
+        values=np.hstack([s.values[:, :3], np.tile([1.0, 0.0, 0.0, 0.0], (len(s.t_s), 1))])
+    ), "attitude does not fit"
+
+
 def _jammed(s: Stream, rng: np.random.Generator) -> tuple[Stream, str]:
     noise = rng.normal(scale=3e-4, size=(len(s.t_s), 2)) * (s.t_s > 20.0)[:, None]
     return s._replace(values=s.values + np.hstack([noise, 0.0 * noise])), "scatter"
@@ -139,7 +155,7 @@ ONE, DEG = [1.0] * 3, 57.29578
 FAULTS = [
     *(("/imu", f) for f in (_step, _speed, _wrap, _nanoseconds, _ahead, _batched, _digits, _dead, _stuck, _silent)),
     *(("/gnss", f) for f in (_step, _speed, _wrap, _nanoseconds, _ahead, _jammed, _stuck)),
-    *(("/pose_fix", f) for f in (_step, _speed, _stuck, _camera)),
+    *(("/pose_fix", f) for f in (_step, _speed, _stuck, _camera, _east_north_up, _level)),
     *(("/odometry", f) for f in (_step, _stuck, _camera)),
     *((topic, _stuck) for topic in ("/mag", "/baro", "/gnss/velocity")),
     ("/imu", _of([DEG] * 3 + ONE, "deg/s")),
@@ -152,6 +168,7 @@ FAULTS = [
     ("/gnss/velocity", _of([3.6] * 3, "km/h")),
     ("/gnss/velocity", _of_columns([1, 0, 2], "exchanged")),
     ("/pose_fix", _of([100.0] * 3 + [1.0] * 4, "centimetres")),
+    ("/pose_fix", _of_columns([1, 0, 2, 3, 4, 5, 6], "north and east are exchanged")),
     ("/mag", _of([1.0, -1.0, 1.0], "mirrored in y")),
     ("/mag", _of([0.0] * 3, "all its readings are 0")),
     ("/mag", _of([1e4] * 3, "gauss")),
@@ -167,6 +184,24 @@ def test_the_stream_at_fault_is_named_with_its_cause(topic: str, fault: Fault) -
     assert found
     assert found[0].who == topic
     assert words in found[0].what
+
+
+def test_an_attitude_that_is_not_given_accuses_nobody() -> None:
+    streams = _sound(0)
+    fix = PoseFix(0, 0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), np.diag([0.01] * 3 + [10.0] * 3))
+    made = row(fix)
+    assert made is not None
+    poses = streams["/pose_fix"]
+    values = np.hstack([poses.values[:, :3], np.tile(made[1][3:], (len(poses.t_s), 1))])
+    assert _found({**streams, "/pose_fix": poses._replace(values=values)}) == []
+
+
+def test_poses_that_are_late_by_stamp_and_arrival_are_found_by_the_accelerometer() -> None:
+    streams = _sound(0)
+    poses = streams["/pose_fix"]
+    cause = pull.pulled(streams["/imu"], poses._replace(t_s=poses.t_s + 1.0, arrived_s=poses.arrived_s + 1.0))
+    assert cause is not None
+    assert "1.0 s late" in cause.what
 
 
 @pytest.mark.parametrize("seed", range(5))
