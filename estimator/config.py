@@ -255,6 +255,9 @@ def parse(text: str, name: str = "configuration") -> Config:
 
 def _not_of_the_vehicle(config: Config) -> str:
     vehicle = config.bounds.vehicle
+    for receiver in config.gnss.receivers:
+        if receiver.topic not in config.inputs.gnss:
+            return f"[[gnss.receivers]] topic = {receiver.topic}: is none of [inputs] gnss: {', '.join(config.inputs.gnss)}"
     if config.drag.enabled and vehicle not in {"any", "multirotor"}:
         return f'[drag] enabled: rotors have this drag, and [bounds] vehicle is "{vehicle}"; set enabled = false'
     if config.rest.enabled and vehicle == "boat":

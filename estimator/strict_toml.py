@@ -190,6 +190,9 @@ def _explain(message: str, table: Mapping[str, Any]) -> str:
 def _toml(value: Any) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(_toml(v) for v in value)}]"
+    if isinstance(value, msgspec.Struct):
+        given = msgspec.structs.asdict(value).items()
+        return f"{{ {', '.join(f'{key} = {_toml(v)}' for key, v in given if v is not None)} }}"
     if isinstance(value, float):
         return repr(value)
     return json.dumps(value, ensure_ascii=False)

@@ -92,6 +92,7 @@ class Tracker:
         other, core = Tracker(self.core.config), self.core
         other.core.origin, other.core.constants, other.core.noise = core.origin, core.constants, core.noise
         other.core.absolute, other.core.last_absolute_ns = core.absolute, core.last_absolute_ns
+        other.core.receivers = core.receivers
         other.sources, other.place, other.anchor = self.sources.copy(), self.place, self.anchor
         other.alignment.given_up = self.alignment.given_up
         other.path_scale, other.delays, other.bias_walk = self.path_scale, self.delays, self.bias_walk
@@ -287,6 +288,7 @@ class Tracker:
         state = state.arrive(aid.rules, aid.t_ns, alone=alone)
         if aid.absolute:
             core.absolute |= {aid.topic}
+            core.receivers |= {aid.topic} if aid.geodetic else set()
         gyro_b = core.sample_now(samples)[:_XYZ] if aid.uses_rate else _NO_RATE  # no other measurement asks for it
         self.alignment.check_sensor(aid, z, samples, gyro_b)
         if core.hypotheses is None or not core.is_aligned:
@@ -394,6 +396,7 @@ class Tracker:
         else:
             reason = Reason.PROBATION if state.phase is Phase.STARTING else Reason.STOPPED
         alone = alone or isinstance(z, PartialPose)  # directions change from fix to fix: their sum is of nothing
+        alone = alone or (aid.geodetic is not None and self._alone(aid, core.receivers))  # receivers share their slow error
         state = state.judge(
             aid.rules, aid.t_ns, alone=alone, passed=verdict.passed, fused=verdict.fused, nu=verdict.seen.nu, sigma=sigma
         )
@@ -446,9 +449,9 @@ class Tracker:
                 member.adopt(core.constants, doubts_imu=member.doubts_imu)
                 member.filter.widen_biases(walked)
 
-    def _alone(self, aid: Aid) -> bool:
+    def _alone(self, aid: Aid, beside: frozenset[str] = frozenset()) -> bool:
         return not any(
-            topic not in {aid.topic, aid.witness}
+            topic not in {aid.topic, aid.witness, *beside}
             and topic in self.core.absolute
             and (aid.t_ns - s.fused_ns) * 1e-9 < aid.rules.timeout_s
             for topic, s in self.sources.items()

@@ -28,6 +28,18 @@ _NO_ACCURACY = "the receiver gives no accuracy: [gnss] {} taken"
 _Lever: TypeAlias = Annotated[float, Meta(ge=-100, le=100)]
 
 
+class ReceiverConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """[[gnss.receivers]]: what one receiver has of its own; what is left out is as in [gnss]."""
+
+    topic: str
+    delay_s: Annotated[float, Meta(ge=-1, le=5)] | None = None
+    antenna_b_m: tuple[_Lever, _Lever, _Lever] | None = None
+    horizontal_sigma_m: Annotated[float, Meta(ge=1e-3, le=1e4)] | None = None
+    vertical_sigma_m: Annotated[float, Meta(ge=1e-3, le=1e4)] | None = None
+    velocity_sigma_m_s: Annotated[float, Meta(ge=1e-3, le=1000)] | None = None
+    slow_sigma_m: Annotated[float, Meta(ge=0, le=1e4)] | None = None
+
+
 class GnssConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[gnss]: delay, lever arm, default noise, judgement."""
 
@@ -58,10 +70,26 @@ class GnssConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         float, Meta(ge=0, le=1000, description="m/s: slow part of the velocity error, horizontal; 0: none")
     ] = 0.05
     velocity_slow_s: Annotated[float, Meta(ge=1e-3, le=1e6, description="s: correlation time of that")] = 10.0
+    receivers: Annotated[
+        tuple[ReceiverConfig, ...],
+        Meta(description="[[gnss.receivers]], one by topic: its delay, antenna and sigmas where they differ from these"),
+    ] = ()
+
+    def of(self, topic: str) -> "GnssConfig":
+        """For one receiver."""
+        return _own(self, topic) if self.receivers else self
+
+
+@lru_cache(maxsize=64)
+def _own(config: GnssConfig, topic: str) -> GnssConfig:
+    own = next((msgspec.structs.asdict(r) for r in config.receivers if r.topic == topic), {})
+    given = {key: value for key, value in own.items() if key != "topic" and value is not None}
+    return msgspec.structs.replace(config, receivers=(), **given)
 
 
 def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
     """A fix as a position measurement."""
+    config = config.of(fix.topic)
     place = (fix.lat_deg, fix.lon_deg, fix.alt_m)
     if fix.status < 0:
         return Refusal(Reason.NO_FIX)
@@ -109,6 +137,7 @@ def _spoofed(_: Origin | None) -> Refusal:
 
 def velocity_aid(velocity: GnssVelocity, config: GnssConfig) -> Aid | Refusal:
     """A velocity over ground as a measurement."""
+    config = config.of(velocity.topic.rpartition("/")[0])
     v_n = np.array(velocity.v_n)
     if not all(map(math.isfinite, velocity.v_n)):
         return Refusal(Reason.NOT_FINITE, "velocity")

@@ -21,7 +21,7 @@ from tests.scenarios.senses import HOME, Ride, barometer, heading, ride, velocit
 RIGS = sorted((Path(__file__).parents[2] / "examples" / "rigs").glob("*.toml"))
 IMU_HZ, REST_S, END_S = 200.0, 3.0, 13.0
 MOST_M = {"ardupilot_tags": 0.3, "rover_uwb": 0.5}  # horizontally, in the last 4 s; with GNSS:
-MOST_GNSS_M = 2.5
+MOST_GNSS_M = 1.3
 UP = {"d455_openvins": (0.0, -9.8, 0.0), "oakd": (-9.8, 0.0, 0.0)}  # of the driver's specific force at rest, m/s^2; else REP 103
 
 

@@ -53,6 +53,7 @@ class Core:
         self.variance_factor = NO_EXCESS
         self.conflicts = Conflicts()
         self.absolute: frozenset[str] = frozenset()  # topics that have given positions
+        self.receivers: frozenset[str] = frozenset()  # of these, GNSS
         self.last_absolute_ns = NEVER
 
     def copy(self) -> "Core":

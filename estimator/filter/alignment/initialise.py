@@ -133,9 +133,11 @@ def start_from_attitude(
     tilt = prior.noise[:2, :2] + np.eye(2) * at.tilt_sigma**2
     if off @ np.linalg.solve(tilt, off) > gate(_LEVEL_GATE, 2):
         return None
-    noise = np.zeros((6, 6))
-    noise[:3, :3], noise[3:, 3:] = z.noise[:3, :3], prior.noise
-    return start_from_pose(t_ns, Pose(z.z_n, prior.q_nb_wxyz, noise, np.arange(6)), constants, config)
+    antenna_n = so3.matrix(prior.q_nb_wxyz) @ _lever(z)
+    moved, noise = so3.skew(antenna_n), np.zeros((6, 6))
+    noise[:3, 3:], noise[3:, 3:] = moved @ prior.noise, prior.noise
+    noise[3:, :3], noise[:3, :3] = noise[:3, 3:].T, z.noise[:3, :3] + moved @ prior.noise @ moved.T
+    return start_from_pose(t_ns, Pose(z.z_n - antenna_n, prior.q_nb_wxyz, noise, np.arange(6)), constants, config)
 
 
 def is_turned(z: Pose, at: Level) -> bool:
@@ -179,12 +181,20 @@ def _levelled(
     t_ns: int, z: Position | Pose, at: Level, heading: float, sigma: float, constants: Array, config: InitialiseConfig
 ) -> Eskf:
     x, cov = _unknown(at, config)
-    x[X.P], x[X.Q] = z.z_n, so3.from_euler(at.roll, at.pitch, heading)
-    cov[E.P, E.P] = z.noise[:3, :3]
+    x[X.Q] = so3.from_euler(at.roll, at.pitch, heading)
+    r_nb, lever_b = so3.matrix(x[X.Q]), _lever(z)
+    x[X.P], moved = z.z_n - r_nb @ lever_b, r_nb @ so3.skew(lever_b)
     about_n = np.diag([at.tilt_sigma**2, at.tilt_sigma**2, sigma**2])
-    r_nb = so3.matrix(x[X.Q])
     cov[E.THETA, E.THETA] = _symmetric(r_nb.T @ about_n @ r_nb)
+    cov[E.P, E.THETA] = moved @ cov[E.THETA, E.THETA]
+    cov[E.THETA, E.P] = cov[E.P, E.THETA].T
+    cov[E.P, E.P] = z.noise[:3, :3] + _symmetric(moved @ cov[E.P, E.THETA].T)
     return Eskf(t_ns, x, cov, constants)
+
+
+def _lever(z: Position | Pose) -> Array:
+    """Of what is measured (3,), from the IMU: p = z - R l, dp = R [l]x dtheta."""
+    return z.lever_b if isinstance(z, Position) else np.zeros(3)
 
 
 def _symmetric(cov: Array) -> Array:

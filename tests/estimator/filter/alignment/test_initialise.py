@@ -12,6 +12,7 @@ from estimator.filter.alignment.initialise import (
     aligned,
     lacks,
     level,
+    start_from_attitude,
     start_from_pose,
     start_from_position,
     weigh,
@@ -232,6 +233,23 @@ def test_gnss_without_imu_starts_nothing() -> None:
 
 LEVEL = Level(EPOCH_NS, 0.1, -0.05, 0.03, np.array([0.001, 0.002, 0.003]), 0.01, still=True)
 Z = Position(np.array([1.0, 2.0, 3.0]), np.eye(3) * 2.0, np.arange(3), np.zeros(3))
+
+
+def test_an_antenna_ahead_of_the_imu_begins_ahead_of_it() -> None:
+    """P against drawn attitudes: p = z - R exp(theta) l - n, for each of the headings and for a prior attitude."""
+    z, rng = Position(np.zeros(3), np.eye(3) * 0.3**2, np.arange(3), np.array([2.0, -1.0, -3.0])), np.random.default_rng(1)
+    prior = Pose(np.zeros(3), so3.from_euler(0.01, -0.02, 1.0), np.diag([0.02, 0.02, 0.05]) ** 2, np.arange(3, 6))
+    from_prior = start_from_attitude(EPOCH_NS, z, LEVEL, prior, CONSTANTS, CONFIG)
+    assert from_prior is not None
+    for member in (*start_from_position(EPOCH_NS, z, LEVEL, CONSTANTS, CONFIG).members, *from_prior.members):
+        x, cov = member.filter.x, member.filter.cov
+        r_nb, of_attitude = so3.matrix(x[X.Q]), 1e-4 * cov[E.THETA, E.THETA]  # small: it is linear
+        np.testing.assert_allclose(x[X.P], -r_nb @ z.lever_b, atol=1e-12)
+        theta = rng.multivariate_normal(np.zeros(3), of_attitude, 1000)
+        off = np.array([-r_nb @ (so3.matrix(so3.quat_exp(t)) - np.eye(3)) @ z.lever_b for t in theta])
+        drawn = off.T @ np.hstack([off, theta]) / 1000
+        found = 1e-4 * np.hstack([cov[E.P, E.P] - z.noise, cov[E.P, E.THETA]])
+        assert np.abs(drawn - found).max() < 0.15 * np.abs(found).max()
 
 
 def test_the_bank_covers_the_circle_levelled() -> None:
