@@ -107,9 +107,9 @@ _NOT_FLOWN = {
 
 @cache
 def _flight() -> tuple[Input, ...]:
-    """Four seconds of everything, with a gap of half a second in the IMU and fixes that are false."""
+    """Three seconds of everything, with a gap of half a second in the IMU and fixes that are false."""
     rng, messages = np.random.default_rng(8), list[Input]()
-    for k in range(200):
+    for k in range(150):
         t_ns = T0 + k * SECOND // 50
         if not 100 <= k < 125:
             messages.append(imu(t_ns, rng))
