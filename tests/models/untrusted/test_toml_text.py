@@ -1,0 +1,22 @@
+"""Keys that a TOML reader takes time and memory for."""
+
+import time
+
+import pytest
+
+from models.untrusted import toml_text
+
+
+@pytest.mark.parametrize("part", ["a", '"a"', "'a'"])
+def test_a_dotted_key_of_many_parts_is_refused_before_it_is_read(part: str) -> None:
+    text = " . ".join([part] * 100_000) + " = 1\n"
+    began_s = time.process_time()
+    with pytest.raises(ValueError, match=r"^not valid TOML: a key of more than 16 parts$"):
+        toml_text.table(text)
+    assert time.process_time() - began_s < 1.0
+
+
+def test_dots_in_strings_comments_and_short_keys_are_no_parts() -> None:
+    dots = ".".join("a" * 30)
+    text = f'a.b.c = "{dots}"  # {dots}\nd = """\n{dots} = 1\n"""\n'
+    assert toml_text.table(text) == {"a": {"b": {"c": dots}}, "d": f"{dots} = 1\n"}
