@@ -133,7 +133,7 @@ class Alignment:
                     return Decision(Reason.ALIGNING, detail=contradiction.SAYS)
                 if core.hypotheses is None or len(core.hypotheses.members) > 1:
                     self.begun_by = aid.topic
-                    core.hypotheses = initialise.start_from_pose(core.t_ns, z, core.constants, config)
+                    core.hypotheses = initialise.start_from_pose(core.t_ns, z, core.constants, config, aid)
                     core.stretch = Stretch.of(core.hypotheses.lead)
                     return Decision(Reason.ALIGNING)
             elif not aid.absolute or not isinstance(z, Pose | Position):

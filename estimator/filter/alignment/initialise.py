@@ -33,6 +33,7 @@ LEVEL_NS: Final = 1_000_000_000  # of specific force, used to level
 _STILL_ACCEL, _STILL_RATE = 0.3, 0.15  # m/s^2 (deviation), rad/s (mean) below which the vehicle may be at rest
 MOVING_TILT: Final = math.radians(12.0)  # sigma of roll and pitch levelled in motion
 _TURNED, _SIGMAS = math.radians(30.0), 3.0  # a larger error of a fix' attitude is no noise, nor one of its mounting
+_BROAD = 1e6  # on the covariance of a pose: it says next to nothing
 _HOPELESS = 12.0  # ln: a heading so far behind is dropped
 
 
@@ -104,8 +105,11 @@ def level(t_ns: int, u: Array, config: InitialiseConfig, *, may_rest: bool = Tru
     )
 
 
-def start_from_pose(t_ns: int, z: Pose, constants: Array, config: InitialiseConfig) -> Hypotheses:
-    """One filter at a pose fix with full attitude; needs no rest."""
+def start_from_pose(t_ns: int, z: Pose, constants: Array, config: InitialiseConfig, aid: Aid | None = None) -> Hypotheses:
+    """One filter at a pose fix with full attitude; needs no rest.
+
+    aid: the fix. Where most of its error repeats, a filter whose pose is hardly known fuses it, for the correlations.
+    """
     x, cov = _unknown(None, config)
     x[X.P], x[X.Q] = z.z_n, z.q_nb_wxyz
     r_nb = so3.matrix(z.q_nb_wxyz)
@@ -114,7 +118,19 @@ def start_from_pose(t_ns: int, z: Pose, constants: Array, config: InitialiseConf
     noise = _symmetric(turn @ z.noise @ turn.T)
     cov[E.P, E.P], cov[E.THETA, E.THETA] = noise[:3, :3], noise[3:, 3:]
     cov[E.P, E.THETA], cov[E.THETA, E.P] = noise[:3, 3:], noise[3:, :3]
-    return Hypotheses([Hypothesis(Eskf(t_ns, x, cov, constants), fused_ns=t_ns, run=1, run_ns=t_ns)])
+    begun = Eskf(t_ns, x, cov, constants)
+    if aid is not None and _repeats(aid, z, x):
+        pose = np.r_[E.P, E.THETA]
+        begun.cov[np.ix_(pose, pose)] *= _BROAD
+        begun.update(innovation(begun, aid, z, np.zeros(3)))
+    return Hypotheses([Hypothesis(begun, fused_ns=t_ns, run=1, run_ns=t_ns)])
+
+
+def _repeats(aid: Aid, z: Pose, x: Array) -> bool:
+    """Whether the errors that the next fixes share are larger than those that are new, in any component."""
+    moves = [(slow.moves(x), slow.covariance) for slow in aid.slow_errors]
+    repeated = [(cov if moved is None else moved @ cov @ moved.T).diagonal() for moved, cov in moves]
+    return any(bool((own > z.noise.diagonal()).any()) for own in repeated)
 
 
 def start_from_position(t_ns: int, z: Position | Pose, at: Level, constants: Array, config: InitialiseConfig) -> Hypotheses:
