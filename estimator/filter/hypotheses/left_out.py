@@ -75,15 +75,12 @@ def is_confirmed(lead: Hypothesis, aid: Aid) -> bool:
 def end(lead: Hypothesis, aid: Aid, *, passed: bool) -> None:
     """Use the receiver again once its positions pass the leading hypothesis' gate without a break.
 
-    The first suffices where nothing else confirms it. Where the hypothesis has refused the fixes, too, for long, nothing speaks
-    against the receiver any more: its positions are refused as those of any source.
+    The first suffices where nothing else confirms it.
     """
     if not aid.absolute or lead.without != aid.topic:
         return
     lead.agreed_ns = (aid.t_ns if lead.agreed_ns is None else lead.agreed_ns) if passed else None
     if lead.agreed_ns is None:
-        if lead.rejected - {lead.without} and (aid.t_ns - lead.fused_ns) * 1e-9 > _UNAIDED_S:
-            lead.without, lead.doubts[aid.topic] = "", Doubt(aid.t_ns, deliberate=False)
         return
     if not is_confirmed(lead, aid) or (aid.t_ns - lead.agreed_ns) * 1e-9 >= _AGREED_S:
         lead.without, lead.agreed_ns = "", None
