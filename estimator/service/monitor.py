@@ -20,6 +20,7 @@ from rich.text import Text
 from estimator.service.zenoh.bus import BusError
 from estimator.service.zenoh.config import ZenohConfig, client_config
 from estimator.service.zenoh.keys import rmw_key
+from estimator.sources.gnss import FLAGGED
 from logs.wire import schemas
 from logs.wire.codec import INTEGRITY_TOPIC, Odometry, decode_aid_status, decode_integrity, decode_odometry
 from logs.wire.schemas import STORE
@@ -123,6 +124,8 @@ class View:
             state = self.health.get(f"sources {topic}", "")
             colour = {"active": "green", "starting": "yellow", "stopped": "red"}.get(state, "")
             fates = _fates(reason for reason, *_ in seen)
+            if seen and seen[-1][3].startswith(FLAGGED):
+                fates = Text(f"{seen[-1][3].removeprefix(FLAGGED)}; ", style="bold red") + fates
             table.add_row(topic, Text(state, style=colour), f"{rates.get(topic, '0')} Hz", delay, ratio, fates)
         return Panel(table, title="sources", title_align="left", width=_WIDTH)
 

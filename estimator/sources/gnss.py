@@ -18,6 +18,7 @@ from models.frames import Origin
 from models.measurements import Position, Velocity
 from models.messages import GnssFix, GnssVelocity, Reason, ReceiverState
 
+FLAGGED = "the receiver reports "  # begins the detail of a fix whose receiver has raised a flag
 _AXES = np.arange(3)
 _FASTEST_M_S = 500.0
 _JAMMED = msgspec.structs.replace(RULES["gnss"], false_share=0.5)  # a receiver that reports jamming: as likely as not
@@ -126,13 +127,13 @@ def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
         slow_errors=_slow("gnss", config.slow_sigma_m, config.slow_s),
         geodetic=None if is_spoofed else place,
         check=_spoofed if is_spoofed else None,
-        detail="the receiver reports jamming" if is_jammed else "",
+        detail=f"{FLAGGED}jamming" if is_jammed else "",
         assumed=_NO_ACCURACY.format(f"horizontal_sigma_m {sigmas[0]:g}, vertical_sigma_m {sigmas[2]:g}") if is_assumed else "",
     )
 
 
 def _spoofed(_: Origin | None) -> Refusal:
-    return Refusal(Reason.STOPPED, "the receiver reports spoofing")
+    return Refusal(Reason.STOPPED, f"{FLAGGED}spoofing")
 
 
 def velocity_aid(velocity: GnssVelocity, config: GnssConfig) -> Aid | Refusal:

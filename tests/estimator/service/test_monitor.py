@@ -59,6 +59,14 @@ def test_what_peers_send_is_text_and_neither_markup_nor_control_characters() -> 
     assert "\x07" not in text
 
 
+def test_a_flag_of_the_receiver_is_shown_with_its_source_as_long_as_it_is_raised() -> None:
+    view = View()
+    for detail in ("", "the receiver reports jamming"):
+        view.hear("/landfix/aid_status", encode(AidStatus(T0, T0, "/gnss", "gnss", Reason.FUSED, detail=detail))[0].data, 1.0)
+        (line,) = (line for line in _text(view, 1.5).splitlines() if "/gnss" in line)
+        assert ("jamming" in line) == bool(detail)
+
+
 def test_the_rate_is_that_of_the_stamps_however_fast_they_are_read() -> None:
     view = View()
     for k in range(300):
