@@ -20,6 +20,36 @@ ROOT = Path(__file__).parents[2]
 CASES = Path(os.environ.get("LANDFIX_DATA", ROOT.parent / "shared" / "data")).parent / "cases"
 
 
+def _case(name: str) -> Path:
+    path = CASES / f"{name}.mcap"
+    if not path.is_file():
+        pytest.skip(f"{path.name} not found: set LANDFIX_DATA to the folder of recorded flights")
+    return path
+
+
+def _flown(path: Path) -> tuple[dict[int, Estimate], int]:
+    """Estimates by stamp, the first of each, and the number of resets."""
+    config = load(path.with_suffix(".toml"))
+    decoder = Decoder(Topics.of(msgspec.to_builtins(config.inputs)), config.mounting())
+    fusion, estimates, resets = Fusion(config.fusion()), dict[int, Estimate](), 0
+    with LogReader(path) as reader:
+        for record in reader:
+            message = decoder.decode(record.topic, record.schema, record.data, record.log_time_ns)
+            for out in fusion.handle(message) if message is not None else ():
+                if isinstance(out, Estimate):
+                    estimates.setdefault(out.t_ns, out)
+                resets += isinstance(out, Reset)
+    return estimates, resets
+
+
+def test_a_hostile_position_that_is_gated_moves_nothing() -> None:
+    """It had led for 0.11 s, 528 m off in height."""
+    estimates, resets = _flown(_case("attacks/hostile_gnss_528m"))
+    p_n = np.array([estimates[t].nav[X.P] for t in sorted(estimates)])
+    assert resets == 0
+    assert np.abs(np.diff(p_n, axis=0)).max() < 5.0
+
+
 @pytest.mark.parametrize(
     ("case", "rmse_m", "covered"),
     [
@@ -32,19 +62,8 @@ CASES = Path(os.environ.get("LANDFIX_DATA", ROOT.parent / "shared" / "data")).pa
     ],
 )
 def test_true_fixes_lead_again(case: str, rmse_m: float, covered: float) -> None:
-    path = CASES / f"{case}.mcap"
-    if not path.is_file():
-        pytest.skip(f"{path.name} not found: set LANDFIX_DATA to the folder of recorded flights")
-    config = load(path.with_suffix(".toml"))
-    decoder = Decoder(Topics.of(msgspec.to_builtins(config.inputs)), config.mounting())
-    fusion, estimates, resets = Fusion(config.fusion()), dict[int, Estimate](), 0
-    with LogReader(path) as reader:
-        for record in reader:
-            message = decoder.decode(record.topic, record.schema, record.data, record.log_time_ns)
-            for out in fusion.handle(message) if message is not None else ():
-                if isinstance(out, Estimate):
-                    estimates.setdefault(out.t_ns, out)
-                resets += isinstance(out, Reset)
+    path = _case(case)
+    estimates, _ = _flown(path)
     truth = read_odometry(path, "/truth")
     stamps = np.array(sorted(estimates))
     nearest = stamps[np.clip(np.searchsorted(stamps, truth.t_ns), 0, len(stamps) - 1)]
