@@ -127,10 +127,10 @@ def start_from_pose(t_ns: int, z: Pose, constants: Array, config: InitialiseConf
 
 
 def _repeats(aid: Aid, z: Pose, x: Array) -> bool:
-    """Whether the errors that the next fixes share are larger than those that are new, in any component."""
+    """Whether the errors of position that the next fixes share are larger than those that are new, in any component."""
     moves = [(slow.moves(x), slow.covariance) for slow in aid.slow_errors]
     repeated = [(cov if moved is None else moved @ cov @ moved.T).diagonal() for moved, cov in moves]
-    return any(bool((own > z.noise.diagonal()).any()) for own in repeated)
+    return any(bool((own[:3] > z.noise.diagonal()[:3]).any()) for own in repeated)
 
 
 def start_from_position(t_ns: int, z: Position | Pose, at: Level, constants: Array, config: InitialiseConfig) -> Hypotheses:
