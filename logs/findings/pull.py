@@ -19,6 +19,7 @@ _LONGEST_S: Final = 3.0
 _LEAST_STEPS: Final = 15
 _LEAST_M_S: Final = 0.3  # RMS of a change of velocity; noise of a fix makes 0.1
 _UP_DEG: Final = 20.0  # further off, its vertical is another
+_OUTLIER: Final = 4.0  # times the median
 _WRONG: Final = 0.7  # share of the changes that equality leaves; 0.4 with good poses
 _EXPLAINED, _UNEXPLAINED = 0.45, 0.7  # by axes and scale
 _LATE_S: Final = [s for s in np.arange(-1.2, 1.25, 0.1) if abs(s) > 0.25]
@@ -92,5 +93,7 @@ def _changes(imu: Stream, poses: Stream, late_s: float = 0.0) -> tuple[Array, Ar
     near = (h[1:] < _LONGEST_S) & (h[:-1] < _LONGEST_S)
     a, b = (np.diff(np.diff(x, axis=0) / h[:, None], axis=0) for x in (at, p))
     a[:, 2] += 0.5 * GRAVITY * (h[1:] + h[:-1])
-    near &= np.isfinite(a).all(axis=1)
+    off = np.linalg.norm(b - a, axis=1)
+    near &= np.isfinite(off)
+    near &= off <= _OUTLIER * np.median(off[near]) if near.any() else False  # a false fix is no frame
     return (force.mean(axis=0), a[near], b[near]) if near.sum() >= _LEAST_STEPS else None

@@ -150,7 +150,7 @@ def start_from_attitude(
     if off @ np.linalg.solve(tilt, off) > gate(_LEVEL_GATE, 2):
         return None
     antenna_n = so3.matrix(prior.q_nb_wxyz) @ _lever(z)
-    moved, noise = so3.skew(antenna_n), np.zeros((6, 6))
+    moved, noise = np.cross(np.eye(3), antenna_n), np.zeros((6, 6))  # [antenna]x
     noise[:3, 3:], noise[3:, 3:] = moved @ prior.noise, prior.noise
     noise[3:, :3], noise[:3, :3] = noise[:3, 3:].T, z.noise[:3, :3] + moved @ prior.noise @ moved.T
     return start_from_pose(t_ns, Pose(z.z_n - antenna_n, prior.q_nb_wxyz, noise, np.arange(6)), constants, config)
@@ -199,7 +199,7 @@ def _levelled(
     x, cov = _unknown(at, config)
     x[X.Q] = so3.from_euler(at.roll, at.pitch, heading)
     r_nb, lever_b = so3.matrix(x[X.Q]), _lever(z)
-    x[X.P], moved = z.z_n - r_nb @ lever_b, r_nb @ so3.skew(lever_b)
+    x[X.P], moved = z.z_n - r_nb @ lever_b, np.cross(r_nb, lever_b)  # R [l]x
     about_n = np.diag([at.tilt_sigma**2, at.tilt_sigma**2, sigma**2])
     cov[E.THETA, E.THETA] = _symmetric(r_nb.T @ about_n @ r_nb)
     cov[E.P, E.THETA] = moved @ cov[E.THETA, E.THETA]
