@@ -23,7 +23,8 @@ def conflict(hypotheses: Hypotheses | None, absolute: Iterable[str], sources: Ma
     if hypotheses is None or hypotheses.conflict_ns is None or (found := hypotheses.conflict) is None:
         return ""
     (rejected, distance_m), since_s = found, (t_ns - hypotheses.conflict_ns) * 1e-9
-    used = {topic for topic in set(absolute) - rejected if t_ns - sources[topic].fused_ns < VOUCHED_NS}
+    known = (set(absolute) - rejected) & sources.keys()  # a source that was not judged yet has no state
+    used = {topic for topic in known if t_ns - sources[topic].fused_ns < VOUCHED_NS}
     sides = ", ".join(sorted(rejected)), ", ".join(sorted(used)) or "the estimate"
     return f"{sides[0]} and {sides[1]} disagree by {distance_m:.1f} m for {since_s:.0f} s: the covariance covers both"
 
