@@ -68,7 +68,7 @@ def is_there(data: Path) -> bool:
 
 def scene(data: Path, form: str, priors: int) -> Scene:
     """The photo, as often as there are priors, over one of MAPS."""
-    camera, photo = _camera(data), _read(data / FOLDER / f"{NAME}.jpg")
+    camera, photo = _camera(data), read(data / FOLDER / f"{NAME}.jpg")
     world_to_camera = np.array(json.loads((data / FOLDER / f"{NAME}_extrinsics.json").read_text())["pose_w2c"])
     R_cw, t = world_to_camera[:, :3], world_to_camera[:, 3]
     rig = nadir_rig(camera)
@@ -77,7 +77,7 @@ def scene(data: Path, form: str, priors: int) -> Scene:
         [0.0, -_STEP_M, _NORTH_M[form] - 0.5 * _STEP_M],
         [_STEP_M, 0.0, _WEST_M[form] + 0.5 * _STEP_M],
     ])  # fmt: skip
-    image = _read(data / FOLDER / f"{NAME}_{form}.tif")
+    image = read(data / FOLDER / f"{NAME}_{form}.tif")
     known = MapImage.of(GroundImage(form, image, affine, Heights.level(-GROUND_UP_M), 0.3, 0.5))
     return Scene(rig, known, [Taken(k * _APART_NS, photo, p_n, R_nb) for k in range(priors)])
 
@@ -87,7 +87,8 @@ def _camera(data: Path) -> CameraModel:
     return CameraModel(1024, 768, k[0][0], k[1][1], k[0][2], k[1][2])
 
 
-def _read(path: Path) -> Image:
+def read(path: Path) -> Image:
+    """A picture (h, w, 3). Raises FileNotFoundError."""
     image = cv2.imread(str(path))
     if image is None:
         raise FileNotFoundError(path)

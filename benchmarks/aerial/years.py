@@ -14,6 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from benchmarks.aerial.ortholoc import read
 from benchmarks.aerial.registration import decoys, fly, table
 from benchmarks.aerial.registration_sets import LOW, Flight, Scene, Taken, drawn_view, shots, turned
 from benchmarks.aerial.trials import nadir_rig
@@ -64,7 +65,7 @@ def _pairs(data: Path) -> Iterator[tuple[str, Path]]:
 def scene(folder: Path, name: str, seed: int) -> Scene:
     """Three photos of the earlier image over the later one."""
     rng, rig = np.random.default_rng(seed), nadir_rig(_CAMERA)
-    earlier, later = (_ground(name, _read(folder / year / name)) for year in ("A", "B"))
+    earlier, later = (_ground(name, read(folder / year / name)) for year in ("A", "B"))
     taken = []
     for k in range(_VIEWS):
         p_n = np.array([*rng.uniform(-_OFF_M, _OFF_M, 2), -_HEIGHT_M])
@@ -79,13 +80,6 @@ def _ground(name: str, image: Image) -> GroundImage:
     height, width = image.shape[:2]
     affine = np.array([[0.0, -_STEP_M, 0.5 * _STEP_M * (height - 1)], [_STEP_M, 0.0, -0.5 * _STEP_M * (width - 1)]])
     return GroundImage(name, image, affine, Heights.level(0.0), 0.5, 0.5)
-
-
-def _read(path: Path) -> Image:
-    image = cv2.imread(str(path))
-    if image is None:
-        raise FileNotFoundError(path)
-    return np.asarray(image, dtype=np.uint8)
 
 
 if __name__ == "__main__":

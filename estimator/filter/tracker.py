@@ -449,9 +449,9 @@ class Tracker:
                 member.adopt(core.constants, doubts_imu=member.doubts_imu)
                 member.filter.widen_biases(walked)
 
-    def _alone(self, aid: Aid, beside: frozenset[str] = frozenset()) -> bool:
+    def _alone(self, aid: Aid, without: frozenset[str] = frozenset()) -> bool:
         return not any(
-            topic not in {aid.topic, aid.witness, *beside}
+            topic not in {aid.topic, aid.witness, *without}
             and topic in self.core.absolute
             and (aid.t_ns - s.fused_ns) * 1e-9 < aid.rules.timeout_s
             for topic, s in self.sources.items()

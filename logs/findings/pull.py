@@ -1,6 +1,6 @@
-"""Positions with an attitude against the accelerometer: their axes and their unit.
+"""Poses against the accelerometer: frame, stamps and attitude (docs/troubleshooting.md).
 
-W = int int R_nb f dt dt,   D2 x = (x_2 - x_1) / h_2 - (x_1 - x_0) / h_1,   D2 p = D2 W + g (h_1 + h_2) / 2
+W = int int R_nb f dt dt [m],   D2 x = (x_2 - x_1) / h_2 - (x_1 - x_0) / h_1,   D2 p = D2 W + g (h_1 + h_2) / 2
 """
 
 from typing import Final

@@ -133,7 +133,7 @@ def gnss_fix(message: Any, t_ns: int, geoid_m: float, topic: str, state: Receive
 
 
 def gnss_velocity(message: Any, t_ns: int, topic: str) -> GnssVelocity | None:
-    """Speed and course over ground; None: not given, or beside a position that is no place on Earth."""
+    """Speed and course over ground; None: not given, or its position is no place on Earth."""
     if (
         message.fix_type < _FIX_3D
         or _UNKNOWN in {message.vel, message.cog}

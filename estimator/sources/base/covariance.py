@@ -22,16 +22,17 @@ def with_default(cov: Array, sigmas: Sequence[float] | Array) -> tuple[Array, bo
 
 
 _FLAWS = {
-    1: Refusal(Reason.NOT_FINITE, "covariance"),
+    1: Refusal(Reason.NOT_FINITE, "covariance: not finite, or 1e30 and more"),
     2: Refusal(Reason.NOT_PSD, "a variance is not positive"),
     3: Refusal(Reason.NOT_PSD, "covariance is not symmetric"),
     4: Refusal(Reason.NOT_PSD, "covariance is not positive definite"),
 }
 _ASYMMETRY, _SMALLEST_PIVOT = 1e-6, 1e-12  # of the correlation matrix
+_LARGEST = 1e30  # squared units: with the factors of the filter its determinant would overflow
 
 
 def covariance_refusal(cov: Array, size: int | None = None) -> Refusal | None:
-    """Why `cov` (k, k) is no covariance (not finite, asymmetric, not positive definite), or None; size: wanted k."""
+    """Why `cov` (k, k) is no covariance (not below 1e30, asymmetric, not positive definite), or None; size: wanted k."""
     if size is not None and cov.shape != (size, size):
         return Refusal(Reason.MALFORMED, f"covariance: {size} x {size} is expected")
     return _FLAWS.get(_flaw(np.ascontiguousarray(cov)))
@@ -43,7 +44,7 @@ def _flaw(cov: Array) -> int:
     n = cov.shape[0]
     for i in range(n):
         for j in range(n):
-            if not math.isfinite(cov[i, j]):
+            if not abs(cov[i, j]) < _LARGEST:
                 return 1
     for i in range(n):
         if not cov[i, i] > 0.0:

@@ -60,7 +60,8 @@ def test_a_covariance_is_accepted_whatever_its_size(scale: float) -> None:
         (np.diag([1.0, math.nan, 1.0]), Reason.NOT_FINITE),
         (np.diag([1.0, math.inf, 1.0]), Reason.NOT_FINITE),
         (np.diag([1.0, 5e-324, 1.0]), None),
-        (np.diag([1.0, 1e308, 1.0]), None),
+        (np.diag([1.0, 1e29, 1.0]), None),
+        (np.diag([1.0, 1e308, 1.0]), Reason.NOT_FINITE),  # the filter's factors would make it infinite
     ],
 )
 def test_what_is_no_covariance_is_refused_with_its_reason(cov: Array, reason: Reason | None) -> None:
