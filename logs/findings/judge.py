@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from logs.findings import clocks, held, inertial, position, pull, turning
+from logs.findings import clocks, held, inertial, numbers, position, pull, turning
 from logs.findings.streams import ATTITUDE, FIX, IMU, POSE, TURNING, VELOCITY, Cause, Finding, Stream, Streams
 from models.messages import Vec3
 
@@ -20,14 +20,21 @@ def judged(streams: Streams, origin: Vec3 | None) -> Iterator[tuple[str, Finding
         if s.kind == IMU and (n := len(s.t_s)) < _LEAST_SAMPLES:
             what = f"{n} sample{'s' * (n > 1)} in all"
             yield "0", Finding(name, what, max(0.0, float(s.arrived_s[0])), inertial.RATE_ADVICE, unfit=True)
-    known = {name: s for name, s in sorted(streams.items()) if len(s.t_s) >= _LEAST_SAMPLES}
+    whole = {name: s for name, s in sorted(streams.items()) if len(s.t_s) >= _LEAST_SAMPLES}
+    known = {name: s for name, given in whole.items() if len((s := numbers.finite(given)).t_s) >= _LEAST_SAMPLES}
     guilty = set[str]()
-    stages = (_stamps(known), _values(known, origin), _relations(known, guilty))
+    stages = (_numbers(whole), _stamps(known), _values(known, origin), _relations(known, guilty))
     for stage, found in enumerate(stages):
         for who, kind, cause in list(found):
             guilty.add(who)
             unfit = cause.unfit and streams[who].kind == IMU
             yield f"{stage}{kind}", Finding(who, cause.what, max(0.0, cause.since_s), cause.advice, unfit)
+
+
+def _numbers(streams: Streams) -> Iterator[tuple[str, str, Cause]]:
+    for name, s in streams.items():
+        if cause := numbers.not_finite(s):
+            yield name, "", cause
 
 
 def _stamps(streams: Streams) -> Iterator[tuple[str, str, Cause]]:

@@ -151,6 +151,12 @@ def _jammed(s: Stream, rng: np.random.Generator) -> tuple[Stream, str]:
     return s._replace(values=s.values + np.hstack([noise, 0.0 * noise])), "scatter"
 
 
+def _not_a_number(s: Stream, rng: np.random.Generator) -> tuple[Stream, str]:
+    values, words = s.values.copy(), "are not a number"
+    values[int(rng.uniform(0.0, 0.9) * len(values)) :, 0] = rng.choice([np.nan, np.inf])
+    return s._replace(values=values), words
+
+
 ONE, DEG = [1.0] * 3, 57.29578
 FAULTS = [
     *(("/imu", f) for f in (_step, _speed, _wrap, _nanoseconds, _ahead, _batched, _digits, _dead, _stuck, _silent)),
@@ -158,6 +164,7 @@ FAULTS = [
     *(("/pose_fix", f) for f in (_step, _speed, _stuck, _camera, _east_north_up, _level)),
     *(("/odometry", f) for f in (_step, _stuck, _camera)),
     *((topic, _stuck) for topic in ("/mag", "/baro", "/gnss/velocity")),
+    *((topic, _not_a_number) for topic in RATES),
     ("/imu", _of([DEG] * 3 + ONE, "deg/s")),
     ("/imu", _of(ONE + [1.0 / GRAVITY] * 3, "it is in g")),
     ("/imu", _of([1.0, -1.0, -1.0] * 2, "other convention")),
@@ -269,3 +276,18 @@ def test_a_magnetometer_that_stands_still_is_at_fault_where_the_vehicle_turns() 
     still = [f for _, f in judged({"/mag": magnetometer, "/imu": streams["/imu"]._replace(values=resting)}, ORIGIN)]
     assert any(f.who == "/mag" and "repeats one reading" in f.what for f in turning)
     assert not any("repeats one reading" in f.what for f in still)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_whatever_the_numbers_are_it_comes_to_an_end(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    streams = _sound(seed % 3)
+    for topic, s in streams.items():
+        rows = slice(*sorted(rng.integers(0, len(s.t_s), 2).tolist()))
+        values, t_s = s.values.copy(), s.t_s.copy()
+        values[rows, int(rng.integers(values.shape[1]))] = rng.choice([0.0, 1.0, np.nan, np.inf, 1e308, -1e308, 1e-310, 1e18])
+        t_s[rows] = rng.choice([0.0, -1e9, 1e9, t_s[-1]])
+        n = int(rng.integers(1, len(t_s)))
+        streams[topic] = Stream(s.kind, t_s[:n], s.arrived_s[:n], values[:n])
+    with np.errstate(all="ignore"):
+        assert all(str(finding) for finding in _found(streams))
