@@ -373,12 +373,13 @@ class Fusion:
 
     def _jump(self, last: Estimate, lead: Eskf, published: Array, t_ns: int, *, is_aligned: bool) -> Array | None:
         """Step from the last published estimate, None within noise; published (15, 15): used without a heading."""
-        doubt = lead.variance_factor * lead.cov if is_aligned else published
+        doubt = lead.cov if is_aligned else published
+        sigmas = _RESET_SIGMA * (math.sqrt(lead.variance_factor) if is_aligned else 1.0)
         samples = self._history.samples
         first = samples.first_after(last.t_ns)
         went_to = imu.moved(last.nav, samples.t_ns, samples.u, samples.count, first, last.t_ns, t_ns, lead.constants)
         delta = state.local(went_to, lead.x)
-        return delta if state.has_moved(delta, doubt, _RESET_SIGMA) else None
+        return delta if state.has_moved(delta, doubt, sigmas) else None
 
     def _clock_stepped(self, sample: ImuSample, refusal: Refusal) -> list[Output]:
         if refusal.reason not in {Reason.IN_FUTURE, Reason.TOO_OLD}:

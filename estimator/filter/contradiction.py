@@ -70,7 +70,7 @@ def direction(nu: Array, s: Array) -> tuple[float, ...]:
     """Unit vector (m,) of an innovation nu (m,) of covariance s (m, m) in units of its sigma."""
     scaled = [a / math.sqrt(variance) for a, variance in zip(nu.tolist(), s.diagonal().tolist(), strict=True)]
     length = max(math.hypot(*scaled), _TINY)
-    return tuple(a / length for a in scaled)
+    return tuple([a / length for a in scaled])
 
 
 def persists(before: tuple[float, ...], now: tuple[float, ...]) -> bool:

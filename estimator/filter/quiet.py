@@ -66,7 +66,7 @@ class Quiet:
         if not self._is_plain:
             covariance = self.tracker.shown_covariance(covariance)
         elif self._late is not None:
-            covariance += self._late
+            covariance[E.P, E.P] += self._late
         return nav, covariance
 
 

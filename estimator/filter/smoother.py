@@ -52,14 +52,14 @@ class Smoothed:
 class Node:
     """One hypothesis at one instant, aids fused: x (16,), cov (15, 15); link None: a segment begins.
 
-    late_cov: (15, 15) of an unknown delay, not smoothed.
+    late_cov: (3, 3) of the position, by an unknown delay, not smoothed.
     """
 
     t_ns: int
     x: Array
     cov: Array
     link: "Link | None" = None
-    late_cov: Array = field(default_factory=lambda: np.zeros((E.SIZE, E.SIZE)))
+    late_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +90,7 @@ def smooth(messages: Iterable[Input], config: FilterConfig, progress: Callable[[
     for segment in segments:
         end = begin + len(segment)
         nav[begin:end], covariance[begin:end] = backward(segment)
-        covariance[begin:end] += [node.late_cov for node in segment]
+        covariance[begin:end, E.P, E.P] += [node.late_cov for node in segment]
         begin = end
     t_ns = np.array([node.t_ns for node in nodes], np.int64)
     number = np.repeat(np.arange(len(segments)), [len(segment) for segment in segments])
@@ -163,7 +163,7 @@ def _step(
     if tracker.core.hypotheses is None or not tracker.core.is_aligned:
         return {}
     members = tracker.core.hypotheses.members
-    late = np.zeros((E.SIZE, E.SIZE)) if tracker.late_cov is None else tracker.late_cov
+    late = np.zeros((3, 3)) if tracker.late_cov is None else tracker.late_cov
     return {m: Node(t_ns, m.filter.x.copy(), m.filter.cov[: E.SIZE, : E.SIZE].copy(), links.get(m), late) for m in members}
 
 

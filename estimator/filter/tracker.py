@@ -74,7 +74,7 @@ class Tracker:
         self.anchor: GnssAnchor | None = None
         self.path_scale = PathScale()
         self.delays: Delays = {}
-        self.late_cov: Array | None = None  # (15, 15), by a delay that the newest fix may have
+        self.late_cov: Array | None = None  # (3, 3) of the position, by a delay that the newest fix may have
         self.bias_walk = BiasWalk()
         self.scatter: dict[str, Scatter] = {}  # of sources of positions, and their velocities; never changed in place
 
@@ -123,7 +123,7 @@ class Tracker:
             contradicted = len(core.absolute & lead.rejected) + lead.doubts_imu  # by how many witnesses
             cov[E.P, E.P] += core.conflicts.added(is_decided=core.is_aligned and contradicted < _MAJORITY)
         if self.late_cov is not None:
-            cov += self.late_cov
+            cov[E.P, E.P] += self.late_cov
         if core.is_aligned and self.alignment.without_sensor is not None:
             return self.alignment.without_sensor.mixed(cov, bank.lead.x)
         return cov
@@ -202,8 +202,10 @@ class Tracker:
     @property
     def needs_from_ns(self) -> int:
         """Oldest IMU sample that may be needed again."""
-        beside = self.alignment.without_sensor.stretch if self.alignment.without_sensor is not None else None
-        return min((s.t_ns for s in (self.core.stretch, beside) if s is not None), default=2**62)
+        oldest, beside = self.core.stretch, self.alignment.without_sensor
+        if beside is not None and beside.stretch is not None and (oldest is None or beside.stretch.t_ns < oldest.t_ns):
+            oldest = beside.stretch
+        return _ALWAYS_NS if oldest is None else oldest.t_ns
 
     def propagate(self, samples: ImuBuffer, to_ns: int) -> None:
         """Propagate through the IMU samples to `to_ns`; the state is given up after a minute without any."""
@@ -360,7 +362,7 @@ class Tracker:
         assert core.hypotheses is not None
         receiver = self.sources.get(aid.receiver or "", _UNKNOWN)  # of a velocity: it stands and falls with its positions
         trusted = state.phase is Phase.ACTIVE and (receiver.phase is Phase.ACTIVE or aid.t_ns > receiver.silent_ns)
-        known = self.scatter.get(aid.topic) or Scatter(aid.t_ns, ())
+        known = self.scatter.get(aid.topic) or Scatter(aid.t_ns)
         trusted = trusted and known.factor < _USELESS
         if known.factor > 1.0 and isinstance(z, Pose | Position | Velocity):
             z = replace_in(z, noise=known.factor * z.noise)
@@ -450,12 +452,8 @@ class Tracker:
                 member.filter.widen_biases(walked)
 
     def _alone(self, aid: Aid, without: frozenset[str] = frozenset()) -> bool:
-        return not any(
-            topic not in {aid.topic, aid.witness, *without}
-            and topic in self.core.absolute
-            and (aid.t_ns - s.fused_ns) * 1e-9 < aid.rules.timeout_s
-            for topic, s in self.sources.items()
-        )
+        others = self.core.absolute - {aid.topic, aid.witness} - without
+        return not any((aid.t_ns - self.sources.get(topic, _UNKNOWN).fused_ns) * 1e-9 < aid.rules.timeout_s for topic in others)
 
     def _leave(self, position_n: Array) -> None:
         core = self.core
@@ -471,10 +469,8 @@ class Tracker:
         lead.widen(max(1.0, float(np.linalg.norm(off) / np.sqrt(np.trace(lead.cov[E.P, E.P])))))
 
     def _vouched(self, aid: Aid) -> bool:
-        return any(
-            topic != aid.topic and topic in self.core.absolute and aid.t_ns - s.fused_ns < remarks.VOUCHED_NS
-            for topic, s in self.sources.items()
-        )
+        others = self.core.absolute - {aid.topic}
+        return any(aid.t_ns - self.sources.get(topic, _UNKNOWN).fused_ns < remarks.VOUCHED_NS for topic in others)
 
     def _note_absolute(self, aid: Aid, z: Measurement) -> None:
         core = self.core

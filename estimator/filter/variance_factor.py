@@ -7,6 +7,8 @@ ratio beyond noise does not count. f >= 1; published, it lasts four times as lon
 """
 
 import math
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 from estimator.sources.base.gating import gate
@@ -37,28 +39,30 @@ class Recent(NamedTuple):
 
 
 class VarianceFactor(NamedTuple):
-    """value: f at t_ns; usual: consecutive readings with a usual median; lasting: published f."""
+    """value: f at t_ns; recent: by topic; usual: consecutive readings with a usual median; lasting: published f."""
 
     value: float = 1.0
     t_ns: int = 0
-    recent: tuple[tuple[str, Recent], ...] = ()
+    recent: Mapping[str, Recent] = MappingProxyType({})
     usual: int = 0
     lasting: float = 1.0
 
     def also(self, topic: str, t_ns: int, distance2: float, dof: int, largest: float | None = None) -> "VarianceFactor":
         """With one more squared Mahalanobis distance, at f = 1; r above `largest` does not count."""
-        by_topic = {name: r for name, r in self.recent if name == topic or (t_ns - r.t_ns) * 1e-9 < _SILENT_S}
         if largest is None:
             largest = LARGEST if self.usual >= _ENOUGH else LARGEST_AT_FIRST
-        ratio, usual = distance2 / gate(0.5, dof), gate(_USUAL, dof) / gate(0.5, dof)
-        ratios = by_topic[topic].ratios if topic in by_topic else ()
-        by_topic[topic] = Recent(t_ns, (*ratios[1 - _WINDOW :], ratio) if ratio <= largest else ratios, usual)
-        excess = min(r.excess for r in by_topic.values())
+        before, middle = self.recent.get(topic), gate(0.5, dof)
+        ratio, ratios = distance2 / middle, before.ratios if before else ()
+        if ratio <= largest:
+            ratios = (*ratios[1 - _WINDOW :], ratio)
+        recent = {name: r for name, r in self.recent.items() if (t_ns - r.t_ns) * 1e-9 < _SILENT_S}
+        recent[topic] = Recent(t_ns, ratios, gate(_USUAL, dof) / middle)
+        excess = min([r.excess for r in recent.values()])
         seconds = (t_ns - self.t_ns) * 1e-9
         value = max(excess, _faded(self.value, seconds, _FADES_S))
         lasting = max(excess, _faded(self.lasting, seconds, _LASTS_S))
         in_a_row = self.usual if self.usual >= _ENOUGH else self.usual + 1 if excess == 1.0 else 0
-        return VarianceFactor(value, t_ns, tuple(sorted(by_topic.items())), in_a_row, lasting)
+        return VarianceFactor(value, t_ns, recent, in_a_row, lasting)
 
 
 def _faded(factor: float, seconds: float, over_s: float) -> float:

@@ -25,6 +25,7 @@ FARTHEST_M = 1e6
 _MOST_LANDMARKS, _MOST_ERRORS = 8, 8  # in one fix, and of each
 _LARGEST_ERROR = 300.0  # m or rad
 _ROUNDING = 1e-9
+_OF_UNIT = 1e-2  # a quaternion's length is within this of one
 _NOTHING = np.zeros((6, 6))
 _LEVEL = (1.0, 0.0, 0.0, 0.0)
 _EAST = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))  # no rotation from map to base_link, ENU and FLU
@@ -84,18 +85,20 @@ class LandmarkFixConfig(PoseConfig, frozen=True, forbid_unknown_fields=True):
 class Given(NamedTuple):
     """Given components of a fix (x y z rx ry rz).
 
-    mask: (6,); rows: (m,) where true; attitude: None for an unusable part; widths: m half widths of the box of false readings.
+    mask: (6,); rows: (m,) where true; attitude: None for an unusable part; widths: m half widths of the box of false readings;
+    place: whether the position is whole.
     """
 
     mask: NDArray[np.bool_]
     rows: NDArray[np.intp]
     attitude: str | None
     widths: tuple[float, ...]
+    place: bool
 
     @property
     def whole(self) -> bool:
         """Whether the fix gives all six."""
-        return len(self.rows) == _SIX
+        return len(self.widths) == _SIX
 
 
 def given_components(cov: Array) -> Given:
@@ -117,7 +120,8 @@ def _bits(cov: Array, least: float) -> int:
 def _given(bits: int) -> Given:
     mask = tuple(bool(bits >> i & 1) for i in range(_SIX))
     widths = [FALSE_POSITION_M] * _XYZ + [FALSE_ATTITUDE_RAD] * _XYZ
-    return Given(np.array(mask), np.flatnonzero(mask), _ATTITUDES.get(mask[_XYZ:]), tuple(compress(widths, mask)))
+    attitude, known = _ATTITUDES.get(mask[_XYZ:]), tuple(compress(widths, mask))
+    return Given(np.array(mask), np.flatnonzero(mask), attitude, known, all(mask[:_XYZ]))
 
 
 WHOLE = _given((1 << _SIX) - 1)
@@ -136,7 +140,9 @@ def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
     noise, sigmas = covariance, _default_sigmas(config.position_sigma_m, config.attitude_sigma_deg)
     if not given.whole:
         noise, sigmas = covariance[np.ix_(given.rows, given.rows)], sigmas[given.rows]
-    noise, is_assumed = with_default(noise * config.noise_scale**2, sigmas)
+    if config.noise_scale != 1.0:
+        noise = noise * config.noise_scale**2
+    noise, is_assumed = with_default(noise, sigmas)
     if refusal := covariance_refusal(noise):
         return refusal
     pose = pose_of(fix, given)
@@ -158,7 +164,7 @@ def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
         kind="pose",
         order=order(t_ns, "pose", fix.topic, p_n.tobytes(), q.tobytes(), covariance.tobytes()),
         rules=RULES["pose"],
-        absolute=all(given.mask.tolist()[:_XYZ]),
+        absolute=given.place,
         log_false=log_false(RULES["pose"], given.widths),
         measurement=lambda _: z,
         slow_errors=slow_errors,
@@ -182,15 +188,18 @@ def _default_sigmas(position_m: float, attitude_deg: float) -> Array:
 def pose_of(fix: PoseFix | LandmarkFix, given: Given) -> tuple[Array, Array] | Refusal:
     """Position and quaternion of a fix, zero and identity where not given."""
     q = fix.q_nb_wxyz if given.attitude != "none" else _LEVEL
-    p_n = [value if is_given else 0.0 for value, is_given in zip(fix.p_n, given.mask.tolist()[:_XYZ], strict=True)]
-    if not all(map(math.isfinite, (*p_n, *q))):
+    p_n: tuple[float, ...] = fix.p_n
+    if not given.place:
+        p_n = tuple(value if is_given else 0.0 for value, is_given in zip(p_n, given.mask.tolist()[:_XYZ], strict=True))
+    w, x, y, z = q
+    norm = math.sqrt(w * w + x * x + y * y + z * z)
+    if not math.isfinite(norm) or not all(map(math.isfinite, p_n)):
         return Refusal(Reason.NOT_FINITE, "pose")
     if max(map(abs, p_n)) > FARTHEST_M:
         return Refusal(Reason.IMPLAUSIBLE, "more than 1000 km from the map's origin")
-    norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-    if not math.isclose(norm, 1.0, abs_tol=1e-2):
+    if abs(norm - 1.0) > _OF_UNIT:
         return Refusal(Reason.IMPLAUSIBLE, f"quaternion of length {norm:.3g}")
-    return np.array(p_n, float), np.array(q) / norm
+    return np.array(p_n, float), np.array((w / norm, x / norm, y / norm, z / norm))
 
 
 def slow_errors_of(fix: PoseFix | LandmarkFix, given: Given, config: PoseConfig) -> tuple[SlowError, ...] | Refusal:

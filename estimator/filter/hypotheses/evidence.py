@@ -10,6 +10,7 @@ import math
 from typing import NamedTuple
 
 from estimator.filter.eskf import Innovation
+from estimator.filter.hypotheses.follower import again_s
 from estimator.filter.hypotheses.hypothesis import MARGIN, Hypothesis
 from estimator.filter.hypotheses.mixture import ln_sum
 from estimator.sources.base.aid import Aid
@@ -34,11 +35,11 @@ class Evidence(NamedTuple):
     by_receiver: float
 
 
-def weighed(members: list[Hypothesis], aid: Aid, seen: list[Innovation], passed: list[bool], again_s: float) -> Evidence:
-    """Evidence of a reading; again_s: tau of a position the leading hypothesis refuses."""
+def weighed(members: list[Hypothesis], aid: Aid, seen: list[Innovation], passed: list[bool], *, vouched: bool) -> Evidence:
+    """Evidence of a reading; vouched: another source gave positions lately."""
     if not any(m.doubts for m in members):  # most of the time
         return Evidence(aid, seen, passed, [None] * len(members), -math.inf, -math.inf)
-    again = _again(members, aid, seen, passed, again_s)
+    again = _again(members, aid, seen, passed, again_s(members[0], aid, vouched=vouched))
     doubted = max(
         (
             m.weight + by_member
@@ -59,14 +60,19 @@ def noisier(aid: Aid, seen: Innovation) -> float:
     return math.log(aid.rules.false_share) - 0.5 * (distance2 + logdet + len(seen.nu) * math.log(2.0 * math.pi))
 
 
-def _again(members: list[Hypothesis], aid: Aid, seen: list[Innovation], passed: list[bool], again_s: float) -> list[float | None]:
-    """A reading that is not absolute founds no hypothesis: those that take it for true again predict too."""
+def _again(
+    members: list[Hypothesis], aid: Aid, seen: list[Innovation], passed: list[bool], refused_s: float
+) -> list[float | None]:
+    """A reading that is not absolute founds no hypothesis: those that take it for true again predict too.
+
+    refused_s: tau of a position the leading hypothesis refuses.
+    """
     doubts = [m.doubts.get(aid.topic) for m in members]
     if not any(doubts):  # most of the time
         return [None] * len(doubts)
     lasts = lasts_s(aid.kind)
     fades = [
-        -(aid.t_ns - doubt.last_ns) * 1e-9 / (again_s if aid.absolute and not doubt.deliberate else lasts) if doubt else 0.0
+        -(aid.t_ns - doubt.last_ns) * 1e-9 / (refused_s if aid.absolute and not doubt.deliberate else lasts) if doubt else 0.0
         for doubt in doubts
     ]
     follow = [j for j, doubt in enumerate(doubts) if passed[j] and (doubt is None or (aid.absolute and not doubt.deliberate))]

@@ -135,7 +135,7 @@ class Hypotheses:
         if aid.absolute and not set_aside and not self._is_predicted(aid, passed):
             newborn = follower.begin(self.members[0], aid, z, gyro_b, limit, vouched=vouched)
         anew = aid.absolute and not set_aside and not passed[0] and aid.topic not in self.members[0].doubts
-        evidence = weighed(self.members, aid, seen, passed, follower.again_s(self.members[0], aid, vouched=vouched))
+        evidence = weighed(self.members, aid, seen, passed, vouched=vouched)
         born: list[Hypothesis] = []
         fused = self._answers(evidence, born, set_aside=set_aside)
         explained = not fused[0] and any(f and follower.is_new(m) for f, m in zip(fused, self.members, strict=True))

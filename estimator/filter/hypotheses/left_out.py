@@ -94,9 +94,9 @@ def begin_again(
 
     Where all refused it: at the fix. fused, seen: by member; at_fix: see moved().
     """
-    right = members[0] if fused[0] else at_fix
-    if not aid.absolute:
+    if not aid.absolute or len(members) == 1:  # most of the time
         return
+    right = members[0] if fused[0] else at_fix
     for member, was_fused, by_member in [*zip(members, fused, seen, strict=True)][1:]:
         if not member.without or member.without == aid.witness:
             continue

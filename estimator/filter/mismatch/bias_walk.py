@@ -8,6 +8,8 @@ averages' last seconds. (Kailath 1968; Mehra 1972; Sage and Husa 1969; Roberts 1
 """
 
 import math
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -41,8 +43,8 @@ class Whiteness(NamedTuple):
         dof = len(seen.nu)
         size = min(seen.distance2 * variance_factor / dof, _LARGEST)
         before = self.mean if len(self.mean) == dof else (0.0,) * dof
-        now = [math.sqrt(size * dof) * part for part in contradiction.direction(seen.nu, seen.s)]
-        mean = tuple(m + _SHARE * (z - m) for m, z in zip(before, now, strict=True))
+        root, towards = math.sqrt(size * dof), contradiction.direction(seen.nu, seen.s)
+        mean = tuple([m + _SHARE * (root * part - m) for m, part in zip(before, towards, strict=True)])
         return Whiteness(self.size + _SHARE * (size - self.size), mean)
 
     def is_wrong(self, probability: float) -> bool:
@@ -51,21 +53,23 @@ class Whiteness(NamedTuple):
         return _LARGER < self.size < _NOISE and squared > self.size * gate(probability, len(self.mean))
 
 
+_WHITE = Whiteness()
+
+
 class BiasWalk(NamedTuple):
     """Innovations by topic, factor on the variance per second."""
 
-    sources: tuple[tuple[str, Whiteness], ...] = ()
+    sources: Mapping[str, Whiteness] = MappingProxyType({})
     factor: float = 1.0
     t_ns: int = 0
     was_wrong: bool = False
 
     def also(self, topic: str, t_ns: int, seen: Innovation, variance_factor: float) -> "BiasWalk":
         """After a reading of an absolute source."""
-        known = dict(self.sources)
-        now = known.get(topic, Whiteness()).also(seen, variance_factor)
-        sources, seconds = tuple({**known, topic: now}.items()), (t_ns - self.t_ns) * 1e-9
-        if seconds < _STEP_S:
-            return self._replace(sources=sources)
+        now = self.sources.get(topic, _WHITE).also(seen, variance_factor)
+        sources = {**self.sources, topic: now}
+        if (t_ns - self.t_ns) * 1e-9 < _STEP_S:
+            return BiasWalk(sources, self.factor, self.t_ns, self.was_wrong)
         if now.is_wrong(_LIKELY):
             factor = min((_STEP if self.was_wrong or now.is_wrong(_SURE) else _FIRST) * self.factor, _MOST)
         else:

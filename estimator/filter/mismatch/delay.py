@@ -34,6 +34,7 @@ _KNOWN_S = 0.02  # sigma of tau that the sums must reach
 _SIGMA_S = 0.1  # of tau, to begin with, where it is a state
 _PROBE_S = 1e-4  # s0: less than the motion of any vehicle shows
 _WALK = np.array([2e-3**2])  # s^2 / s
+_STATE, _PROBE = np.array([[_SIGMA_S**2]]), np.array([[_PROBE_S**2]])
 _G_N = np.array([0.0, 0.0, GRAVITY])
 _AT_IMU = np.zeros(3)
 _COUNTS_M2 = 1e-3  # less is not worth the time of an estimate
@@ -54,7 +55,7 @@ class Delay(NamedTuple):
     before: tuple[float, float] = (0.0, 0.0)
 
     def covariance(self, sigma_s: float, v_n: Array) -> Array | None:
-        """E[tau^2] v v^T of the position, (15, 15), prior sigma_s; None where negligible."""
+        """E[tau^2] v v^T of the position, (3, 3), prior sigma_s; None where negligible."""
         if self.is_state or not sigma_s:
             return None
         information, score = max((self.information, self.score), self.before)
@@ -62,9 +63,7 @@ class Delay(NamedTuple):
         variance = 1.0 / information + (score / information) ** 2
         if variance * math.hypot(*v_n.tolist()) ** 2 <= _COUNTS_M2:
             return None
-        cov = np.zeros((E.SIZE, E.SIZE))
-        cov[E.P, E.P] = variance * (v_n[:, None] * v_n)
-        return cov
+        return variance * (v_n[:, None] * v_n)
 
     def also(self, t_ns: int, seen: Innovation, column: int, gate: float = math.inf) -> "Delay":
         """With one more innovation; column: of tau in P.
@@ -106,9 +105,9 @@ def carried(aid: Aid, z: Measurement, u: Array | None, delays: Delays, members: 
         for member in members:
             begin(member.filter, topic, u)
     is_state = topic in delays and delays[topic].is_state
-    sigma, walk = (_SIGMA_S, _WALK) if is_state else (_PROBE_S, None)
+    covariance, walk = (_STATE, _WALK) if is_state else (_PROBE, None)
     j = jacobian(z, members[0].filter.x, u)[:, None]
-    error = SlowError(block(topic), np.array([[sigma**2]]), np.inf, j, walk, starts_at_zero=True)
+    error = SlowError(block(topic), covariance, math.inf, j, walk, starts_at_zero=True)
     return replace(aid, slow_errors=(*aid.slow_errors, error))
 
 
@@ -157,7 +156,7 @@ def begin(eskf: Eskf, topic: str, u: Array) -> None:
     """Note the delay of the only source of an alignment, unless it is known."""
     if block(topic) in eskf.slow.columns:
         return
-    eskf.consider(block(topic), np.array([[_PROBE_S**2]]), np.inf)
+    eskf.consider(block(topic), _PROBE, math.inf)
     rotation, rate, force = so3.matrix(eskf.x[X.Q]), u[:_XYZ] - eskf.x[X.BG], u[_XYZ:] - eskf.x[X.BA]
     v = np.zeros(len(eskf.cov))
     v[E.P], v[E.V], v[E.THETA] = eskf.x[X.V], rotation @ force + _G_N, rate

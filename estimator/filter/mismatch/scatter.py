@@ -22,11 +22,10 @@ _FADES_S = 5.0
 
 
 class Scatter(NamedTuple):
-    """Factor s of a source; last r; nu (m,), S (m, m) of the newest two, at t_ns."""
+    """Factor s of a source at t_ns; nu (m,), S (m, m) of its last readings, and whether they were far from their prediction."""
 
     t_ns: int
-    last: tuple[tuple[Array, Array], ...]
-    ratios: tuple[tuple[float, bool], ...] = ()  # and whether the reading was far from its prediction
+    last: tuple[tuple[Array, Array, bool], ...] = ()
     factor: float = 1.0
 
     def also(self, t_ns: int, seen: Innovation, variance_factor: float) -> "Scatter":
@@ -34,18 +33,21 @@ class Scatter(NamedTuple):
         scatter.
         """
         s = seen.s if self.factor == 1.0 else seen.s - variance_factor * (1.0 - 1.0 / self.factor) * seen.noise
-        seconds = (t_ns - self.t_ns) * 1e-9
-        if self.last and (len(seen.nu) != len(self.last[-1][0]) or seconds > _APART_S):
-            return Scatter(t_ns, ((seen.nu, s),))
+        dof, seconds = len(seen.nu), (t_ns - self.t_ns) * 1e-9
+        distance2 = seen.distance2 if s is seen.s else mahalanobis(seen.nu, s)[0]
+        now = seen.nu, s, distance2 > gate(_FAR, dof)
+        if self.last and (dof != len(self.last[-1][0]) or seconds > _APART_S):
+            return Scatter(t_ns, (now,))
         faded = self.factor ** math.exp(-seconds / _FADES_S)
-        factor, ratios, last = faded if faded > _GONE else 1.0, self.ratios, (*self.last[-1:], (seen.nu, s))
-        if len(self.last) == 2:
-            (nu_2, s_2), (nu_1, s_1) = self.last
-            dof, distance2 = len(seen.nu), seen.distance2 if s is seen.s else mahalanobis(seen.nu, s)[0]
-            bend, _ = mahalanobis(seen.nu - 2.0 * nu_1 + nu_2, s + 4.0 * s_1 + s_2)
-            ratios = (*ratios[1 - _WINDOW :], (bend, distance2 > gate(_FAR, dof)))
-            many = len(ratios) == _WINDOW and 2 * sum([far for _, far in ratios]) > _WINDOW
-            ordered = sorted(ratio for ratio, _ in ratios) if many else []
-            if many and ordered[_RANK - 1] > gate(_USUAL, dof):
+        factor, last = faded if faded > _GONE else 1.0, (*self.last[-1 - _WINDOW :], now)
+        if len(last) == _WINDOW + 2 and 2 * sum([far for _, _, far in last[2:]]) > _WINDOW:
+            ordered = sorted(_bends(last))
+            if ordered[_RANK - 1] > gate(_USUAL, dof):
                 factor = max(factor, min(ordered[_SIZE_RANK - 1] / gate(0.5, dof), _LARGEST))
-        return Scatter(t_ns, last, ratios, factor)
+        return Scatter(t_ns, last, factor)
+
+
+def _bends(last: tuple[tuple[Array, Array, bool], ...]) -> list[float]:
+    """r of each reading but the first two."""
+    triples = zip(last, last[1:], last[2:], strict=False)
+    return [mahalanobis(nu - 2.0 * nu_1 + nu_2, s + 4.0 * s_1 + s_2)[0] for (nu_2, s_2, _), (nu_1, s_1, _), (nu, s, _) in triples]
