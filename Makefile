@@ -7,7 +7,7 @@ PYTEST := MPLBACKEND=Agg $(BIN)/python -m pytest
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test quick check bench bench-real stress campaign campaign-integrity soak site install kernels lock clean
+.PHONY: help demo test test-long quick check bench bench-real stress campaign campaign-integrity soak site install kernels lock clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-19s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -16,10 +16,13 @@ demo: install  ## the main job: a simulated flight, GPS cut off; says where the 
 	$(BIN)/landfix demo
 
 # Types are checked on one core while the tests begin on both: 100 s, and no test of the first minutes is one of real time.
-test: install  ## check and all tests; the exit code tells of both
+test: install  ## check and all tests but the long ones; the exit code tells of both
 	@mkdir -p out; { $(MAKE) --no-print-directory check >out/check.log 2>&1 || { cat out/check.log; exit 1; }; } & checks=$$!; \
 	status=0; $(PYTEST) -n 2 --dist worksteal || status=$$?; \
 	wait $$checks || { echo "make check failed: out/check.log"; status=1; }; exit $$status
+
+test-long: install  ## the tests that make test leaves out: campaigns in small, many cases of one kind, whole flights (half an hour)
+	$(PYTEST) -n 2 --dist worksteal -m long
 
 # The golden trajectory, the models, the sensors, the wire and the rules of the repository: 70 s of the processor.
 quick: install  ## the tests of a minute: golden bits, models, sensors, messages, rules of the repository

@@ -61,6 +61,11 @@ def test_a_shifted_map_beside_gnss_is_covered_and_alerted_at_once(tmp_path: Path
     assert row.alerts_s == row.stops_s == (0.0,)
     assert is_faulty(row)
     assert msgspec.json.decode(msgspec.json.encode(row), type=Row) == row
+
+
+@pytest.mark.long
+def test_a_village_and_frames_are_in_the_tables(tmp_path: Path) -> None:
+    row = run(("stress", "sim/rotor", "map shift", 20.0, 0, str(tmp_path)))
     village = run(("village", "rotor", "fixes", 60.0, 0, str(tmp_path)))
     assert village.within_10_m > 200
     looks = run(("looks", "random, prior 5 m", "", 5.0, 0, ""))
@@ -114,6 +119,7 @@ def test_jobs_are_named_once() -> None:
     assert {job[0] for job in work} == {"village", "stress", "looks", "images"}
 
 
+@pytest.mark.long
 def test_the_workers_of_a_scheduler_do_what_is_left(tmp_path: Path) -> None:
     work = [("looks", world, "", 5.0, 0, "") for world in ("random, prior 5 m", "grid, prior 5 m")]
     kept = tmp_path / "rows.jsonl"

@@ -6,7 +6,6 @@ GNSS alone: the heading has to show in motion. Pose fixes 20 s apart: between tw
 from functools import cache
 
 import numpy as np
-import pytest
 
 from benchmarks.campaign.runs import error_of, normalised_squared
 from estimator.filter.alignment import InitialiseConfig
@@ -20,6 +19,7 @@ from models.sim.scenario import Scenario, simulate
 from models.sim.sensors import GRADES, Imu
 from models.sim.trajectory import FixedWing, Multirotor
 from models.state import E
+from tests import long
 from tests.estimator.scenes import SECOND, Run, fly
 
 IMU = Imu(rate_hz=50.0)
@@ -61,7 +61,7 @@ def chosen(estimates: list[Estimate]) -> list[Estimate]:
     return [estimates[min(k, len(estimates) - 1)] for k in at]
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@long.parametrize("name", SCENARIOS)
 def test_the_covariance_is_consistent_from_the_first_estimate_on(name: str) -> None:
     # GIVEN sensors as the filter models them, and no estimate before it is aligned
     runs, nees = flown(name)

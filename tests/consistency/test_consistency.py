@@ -19,6 +19,7 @@ from models.messages import Array, Reason
 from models.sim.aids import PoseFixes
 from models.sim.sensors import Imu
 from models.sim.trajectory import FixedWing, Multirotor
+from tests import long
 
 SEEDS = 16
 PROBABILITY = 0.999  # of the band that a cell must lie in
@@ -51,7 +52,7 @@ def beyond(cell: Consistency) -> int:
     return int(scaled > high) - int(scaled < low)
 
 
-@pytest.mark.parametrize("name", FLIGHTS)
+@long.parametrize("name", FLIGHTS)
 def test_nees_of_pose_velocity_and_state_stays_in_its_band(name: str) -> None:
     # GIVEN sensors as the filter models them, and outages of 5 and 10 s
     result = flown(name)
@@ -62,7 +63,7 @@ def test_nees_of_pose_velocity_and_state_stays_in_its_band(name: str) -> None:
     assert all(whole.consistent for whole in result.wholes)
 
 
-@pytest.mark.parametrize("name", FLIGHTS)
+@long.parametrize("name", FLIGHTS)
 def test_errors_are_as_small_as_the_bound_allows(name: str) -> None:
     result = flown(name)
     for block in BLOCKS:
@@ -70,7 +71,7 @@ def test_errors_are_as_small_as_the_bound_allows(name: str) -> None:
         assert 0.85 < pooled_ratio(cell for cell in result.efficiency if cell.block == block) < 1.15
 
 
-@pytest.mark.parametrize("name", FLIGHTS)
+@long.parametrize("name", FLIGHTS)
 def test_true_fixes_are_fused(name: str) -> None:
     result = flown(name)
     assert result.lost == 0
@@ -82,7 +83,7 @@ def put_and_not_learn(t_ns: NDArray[np.int64], u: Array, _: Array, k: int, __: i
     t_ns[k], u[k] = stamp_ns, row
 
 
-@pytest.mark.parametrize(("process_scale", "side"), [(0.5, 1), (2.0, -1)])
+@long.parametrize(("process_scale", "side"), [(0.5, 1), (2.0, -1)])
 def test_a_filter_with_wrong_process_noise_is_found_out(process_scale: float, side: int, monkeypatch: pytest.MonkeyPatch) -> None:
     # GIVEN a filter whose process noise is half, or twice, the true one, and which does not measure the rest on its samples
     monkeypatch.setattr(sampling, "put", put_and_not_learn)

@@ -14,6 +14,7 @@ from estimator.sources.pose import LandmarkFixConfig, pose_aid
 from models.imu import Coast, ImuNoise, constants
 from models.messages import Array, LandmarkFix, vec3
 from models.state import E, X
+from tests import long
 
 SIGMA_MAP_M, SIGMA_FIX_M, SIGMA_RAD = 0.5, 0.1, 0.01
 Q = (1.0, 0.0, 0.0, 0.0)
@@ -55,7 +56,7 @@ VISITS: dict[str, Visits] = {
 }
 
 
-@pytest.mark.parametrize("name", VISITS)
+@long.parametrize("name", VISITS)
 def test_position_is_consistent(name: str) -> None:
     runs = [_fly(VISITS[name], seed) for seed in range(60)]
     nees = np.mean([error @ np.linalg.solve(eskf.cov[E.P, E.P], error) for error, eskf in runs]) / 3.0

@@ -8,7 +8,6 @@ the point is in body axes, which is exactly the same from every place on a spher
 from typing import NamedTuple
 
 import numpy as np
-import pytest
 
 from estimator.filter.eskf import Eskf
 from estimator.filter.hypotheses import innovation
@@ -20,6 +19,7 @@ from models.imu import Coast, ImuNoise, constants
 from models.measurements import PartialPose
 from models.messages import Array, LandmarkFix, vec3
 from models.state import E, X, local, retract
+from tests import long
 from tests.estimator.partial import not_measured, orthonormal, point_rows
 
 POINT = np.array([10.0, -4.0, 0.0])
@@ -105,7 +105,7 @@ def _runs(sigma_m: float, sigma_rad: float, later: bool = False, bends: bool = T
     return np.array(result)
 
 
-@pytest.mark.parametrize("later", [False, True])
+@long.parametrize("later", [False, True])
 def test_a_point_is_fused_consistently_where_the_attitude_is_known(later: bool) -> None:
     """Attitude 1 degree, position 3 m: the bend is below a centimetre. 99.9 % bands of 2400 and 1200 degrees of freedom."""
     pose, measured = _runs(3.0, np.radians(1.0), later).mean(axis=0)
@@ -113,7 +113,7 @@ def test_a_point_is_fused_consistently_where_the_attitude_is_known(later: bool) 
     assert 0.86 < measured < 1.14
 
 
-@pytest.mark.parametrize("later", [False, True])
+@long.parametrize("later", [False, True])
 def test_a_point_is_fused_consistently_where_the_attitude_is_not(later: bool) -> None:
     """Attitude 10 degrees: the sphere about the point bends by 0.6 m where 0.1 m is measured."""
     bent, flat = _runs(3.0, np.radians(10.0), later), _runs(3.0, np.radians(10.0), later, bends=False)

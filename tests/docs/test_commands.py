@@ -280,7 +280,14 @@ def typed(page: Path, tmp_path: Path, programs: Path) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "sh")], ids=lambda p: p.stem)
+LONG = {"tutorial_calibrate", "tutorial_first_hour", "tutorial_own_log", "tutorial_replay", "tutorial_tune"}
+
+
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(p, marks=[pytest.mark.long] if p.stem in LONG else []) for p in PAGES if blocks(p, "sh")],
+    ids=lambda p: p.stem,
+)
 def test_every_command_works_as_it_is_written(page: Path, tmp_path: Path, landfix: Path) -> None:
     if page.stem in BROUGHT:
         BROUGHT[page.stem](tmp_path)

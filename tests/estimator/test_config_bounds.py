@@ -20,6 +20,7 @@ from estimator.service.mavlink.inputs import Inputs
 from estimator.service.zenoh.config import session_config
 from models.messages import AidStatus, Estimate, Input, LandmarkFix, Reading, Reason, Tick
 from models.sim.scenario_file import ScenarioError, loads
+from tests import long
 
 SECOND = 1_000_000_000
 T0 = 1_795_000_000 * SECOND
@@ -151,7 +152,7 @@ def test_the_flight_of_this_test_is_one() -> None:
     assert _fly(parse('[inputs]\nbaro = "/baro"')) > 50
 
 
-@pytest.mark.parametrize("number", ALL, ids=lambda n: f"{n[0]}[{n[1]}]")
+@long.parametrize("number", ALL, one_in=9, ids=lambda n: f"{n[0]}[{n[1]}]")
 def test_every_number_flies_at_its_extremes(number: tuple[str, int, int, mi.FloatType | mi.IntType], tmp_path: Path) -> None:
     key, place, count, kind = number
     for value in _extremes(kind):
@@ -173,7 +174,7 @@ def _refusal(text: str) -> str:
     return ""
 
 
-@pytest.mark.parametrize("key", sorted({key for key, *_ in ALL}))
+@long.parametrize("key", sorted({key for key, *_ in ALL}), one_in=4)
 def test_awkward_numbers_are_taken_within_the_bounds_or_refused_by_name(key: str) -> None:
     for _, place, count, kind in (n for n in ALL if n[0] == key):
         low, high = _extremes(kind)

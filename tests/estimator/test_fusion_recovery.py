@@ -88,6 +88,7 @@ def test_a_fix_source_that_falls_behind(gnss_hz: float) -> None:
     assert rest.run.reasons("/pose_fix")[Reason.TOO_OLD] > 50
 
 
+@pytest.mark.long
 def test_work_that_is_late_ends_at_any_rate_of_measurements() -> None:
     """More come in a second than one slice for each sample holds; the tracker keeps pace all the same."""
     rest = Rest(gnss_hz=5.0).flown(8.0)

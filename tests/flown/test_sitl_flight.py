@@ -13,6 +13,7 @@ from logs.importers import dataflash
 from logs.importers.recording import Truth
 from models.frames import Origin
 from models.messages import OdometryPose
+from tests import long
 
 DATA = Path(__file__).parent / "data"
 MAP = Origin(-35.366, 149.167, 590.0)  # of sitl.toml
@@ -47,7 +48,7 @@ def test_replayed_the_estimate_is_near_the_truth_and_knows_how_near(tmp_path: Pa
     assert gnss["drift"]["end_m"] < 2.0
 
 
-@pytest.mark.parametrize(("kind", "name"), [("dataflash", "sitl.bin"), ("tlog", "sitl.tlog")])
+@long.parametrize(("kind", "name"), [("dataflash", "sitl.bin"), ("tlog", "sitl.tlog")])
 def test_the_autopilots_logs_are_imported_and_replayed_against_the_truth(kind: str, name: str, tmp_path: Path) -> None:
     """There are no fixes in them, so GPS off is dead reckoning for 24 s; before and after it the position is that of GPS."""
     summary = json.loads(run("import", kind, DATA / name, "-o", tmp_path / "log.mcap", "--json"))

@@ -15,6 +15,7 @@ from logs.wire.codec import Decoder, Topics
 from models.frames import ENU_FROM_NED
 from models.messages import Estimate, Reset
 from models.state import E, X
+from tests import long
 
 ROOT = Path(__file__).parents[2]
 CASES = Path(os.environ.get("LANDFIX_DATA", ROOT.parent / "shared" / "data")).parent / "cases"
@@ -50,7 +51,7 @@ def test_a_hostile_position_that_is_gated_moves_nothing() -> None:
     assert np.abs(np.diff(p_n, axis=0)).max() < 5.0
 
 
-@pytest.mark.parametrize(
+@long.parametrize(
     ("case", "rmse_m", "covered"),
     [
         ("decisions/stk_imu_holds_1s", 0.5, 0.9),
@@ -60,6 +61,7 @@ def test_a_hostile_position_that_is_gated_moves_nothing() -> None:
         ("decisions/gf0_gnss_freezes_20s", 7.0, 0.9),
         ("decisions/clk_fix_clock_gains_2ms_s", 2.0, 0.4),  # no worse than the plain filter; the delay is not covered
     ],
+    one_in=2,
 )
 def test_true_fixes_lead_again(case: str, rmse_m: float, covered: float) -> None:
     path = _case(case)

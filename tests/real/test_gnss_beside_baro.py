@@ -24,6 +24,7 @@ def test_a_barometer_in_the_wind_does_not_lock_out_a_good_receiver(tmp_path: Pat
     assert reasons.count(Reason.GATED) <= 0.01 * len(reasons)
 
 
+@pytest.mark.long
 def test_a_receiver_that_walks_off_does_not_outvote_the_barometer(tmp_path: Path) -> None:
     recording, config = gnss.flight(gnss.GLITCH, tmp_path)
     messages = gnss.inputs(recording)

@@ -16,6 +16,7 @@ from models.sim.scenario import EPOCH_NS, Scenario, Simulation, simulate
 from models.sim.sensors import Imu
 from models.sim.trajectory import FixedWing, Multirotor
 from models.state import E
+from tests import long
 from tests.estimator.scenes import Run, error, same, within
 
 DARK_S, END_S = 80.0, 130.0
@@ -131,7 +132,7 @@ def _late(r: Reading, _: float, late_ns: int) -> Reading:
     return replace(r, t_ns=r.t_ns + late_ns, arrived_ns=r.arrived_ns + late_ns)
 
 
-@pytest.mark.parametrize("fault", [_stuck, _biased, _negative, _knots, _late])
+@long.parametrize("fault", [_stuck, _biased, _negative, _knots, _late])
 def test_given_an_airspeed_that_goes_wrong_in_flight_then_it_is_not_overconfident_and_wrong(
     plane: Simulation, fault: Fault
 ) -> None:
@@ -165,6 +166,7 @@ def test_late_airspeed_and_late_gnss_make_the_same_estimate_as_punctual_ones(pla
     assert punctual.health[-1].biases == delayed.health[-1].biases
 
 
+@pytest.mark.long
 def test_drag_too_is_the_same_when_gnss_comes_late(copter: Simulation) -> None:
     until_ns = EPOCH_NS + 45_000_000_000
     messages = [m for m in copter.messages if m.t_ns < until_ns]

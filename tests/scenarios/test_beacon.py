@@ -3,7 +3,6 @@
 from functools import cache
 
 import numpy as np
-import pytest
 
 from models.messages import Reason
 from models.sim.aids import Gnss
@@ -12,6 +11,7 @@ from models.sim.scenario import Scenario, Simulation, simulate
 from models.sim.sensors import Imu
 from models.sim.trajectory import Multirotor
 from models.state import E
+from tests import long
 from tests.estimator.scenes import Run, error, fly, within
 
 DARK_S, END_S = 45.0, 95.0
@@ -40,7 +40,7 @@ def _level(run: Run, simulation: Simulation) -> tuple[float, float]:
     return worst, float(np.mean(nees))
 
 
-@pytest.mark.parametrize(("count", "most_m"), [(1, 10.0), (3, 1.5)])
+@long.parametrize(("count", "most_m"), [(1, 10.0), (3, 1.5)])
 def test_given_ranges_to_beacons_then_a_dark_stretch_costs_little(count: int, most_m: float) -> None:
     simulation = _flight(count)
     run = fly(simulation)

@@ -15,6 +15,7 @@ from models.messages import Estimate, GnssFix, GnssVelocity, ImuSample, Input, V
 from models.sim.scenario import EPOCH_NS
 from models.sim.sensors import GRADES
 from models.state import E, X
+from tests import long
 from tests.estimator.scenes import Run, by_arrival, error, within
 from tests.scenarios.senses import HOME, Ride, ride
 
@@ -115,7 +116,7 @@ def _check(run: Run, journey: Ride, says: str) -> None:
     assert np.abs(bias - GYRO_2).max() < 4e-3
 
 
-@pytest.mark.parametrize("name", FAULTS)
+@long.parametrize("name", FAULTS)
 def test_given_one_of_two_fails_in_the_dark_then_the_other_takes_over(journey: Ride, name: str) -> None:
     messages = FAULTS[name].of(_lit([*journey.messages, *_other(journey, "/imu2", 1)]))
     _check(_run(messages, _config("/imu", "/imu2")), journey, FAULTS[name].says)
@@ -139,6 +140,7 @@ def test_given_the_first_comes_back_then_it_stands_by_and_takes_over_when_the_se
     assert np.linalg.norm(error(back[-1], journey.truth)[E.P]) < 2.0
 
 
+@pytest.mark.long
 def test_given_one_of_three_contradicts_the_others_then_it_is_the_wrong_one(journey: Ride) -> None:
     others = [*_other(journey, "/imu2", 1), *_other(journey, "/imu3", 2)]
     messages = BIASED.of(_lit([*journey.messages, *others]))
@@ -152,7 +154,7 @@ def test_given_two_contradict_each_other_in_the_dark_then_it_is_said_and_nothing
     assert "contradict each other" in run.health[-1].detail
 
 
-@pytest.mark.parametrize("wrong", ["/imu", "/imu2"])
+@long.parametrize("wrong", ["/imu", "/imu2"])
 def test_given_two_contradict_each_other_then_positions_decide(journey: Ride, wrong: str) -> None:
     """Before, the estimate was given up and began again with the IMU that had failed: 74 m off, with a claim of 10 m."""
     messages = [*journey.messages, *_other(journey, "/imu2", 1)]
@@ -200,6 +202,7 @@ def test_given_the_first_never_speaks_then_the_second_leads_from_the_start(journ
     assert _nees(within(run.aligned, 30.0, END_S, every=20), journey, E.P) < 3.0
 
 
+@pytest.mark.long
 def test_given_fixes_come_late_then_the_end_is_that_of_fixes_in_time_to_the_bit(journey: Ride) -> None:
     messages = FAULTS["stuck"].of([*journey.messages, *_other(journey, "/imu2", 1)])
     late = [
@@ -214,6 +217,7 @@ def test_given_fixes_come_late_then_the_end_is_that_of_fixes_in_time_to_the_bit(
     assert np.array_equal(punctual.estimates[-1].covariance, delayed.estimates[-1].covariance)
 
 
+@pytest.mark.long
 def test_given_a_change_then_the_smoother_has_the_samples_of_the_imu_that_led_longest(journey: Ride) -> None:
     messages = FAULTS["stuck"].of(by_arrival([*journey.messages, *_other(journey, "/imu2", 1)]))
     used = [m for m in of_one_imu(messages, _config("/imu", "/imu2")) if isinstance(m, ImuSample)]
@@ -221,6 +225,7 @@ def test_given_a_change_then_the_smoother_has_the_samples_of_the_imu_that_led_lo
     assert FAULT_S - 0.1 < _seconds(used[-1].t_ns) < FAULT_S
 
 
+@pytest.mark.long
 def test_given_positions_decide_between_two_then_the_smoother_has_the_samples_of_the_right_one(journey: Ride) -> None:
     messages = BIASED.of(by_arrival([*journey.messages, *_other(journey, "/imu2", 1)]))
     late = [m for m in messages if _seconds(m.t_ns) > FAULT_S - 15.0]  # the first leads for 15 s, the second for 20 s

@@ -60,6 +60,7 @@ def test_odometry_carries_the_estimate_through_an_outage(simulation: Simulation)
     assert not carried.internal_errors()
 
 
+@pytest.mark.long
 def test_poses_in_a_frame_of_their_own_do_the_same(simulation: Simulation) -> None:
     run = _with(simulation, poses(simulation, 15.0, END_S))
     assert position_errors(within(run.estimates, LOST_S, END_S), simulation.truth).max() < 2.0
@@ -68,6 +69,7 @@ def test_poses_in_a_frame_of_their_own_do_the_same(simulation: Simulation) -> No
     assert not run.internal_errors()
 
 
+@pytest.mark.long
 def test_some_components_alone_help_as_far_as_they_go(simulation: Simulation) -> None:
     """Translation without rotation, as wheels or optical flow give it, and its forward component alone."""
     alone = position_errors(_with(simulation).estimates[-1:], simulation.truth)[0]
@@ -127,6 +129,7 @@ def test_a_scale_that_goes_wrong_in_an_outage_widens_the_covariance_and_is_repor
     assert _ratio(run, simulation, LOST_S, END_S) < 5.4
 
 
+@pytest.mark.long
 def test_a_scene_that_moves_slowly_is_never_overconfident_and_wrong(simulation: Simulation) -> None:
     """Half of the ground drifts: every increment is wrong by 0.2 m/s downwards, and every third one says that it may be."""
     moved = []
@@ -139,6 +142,7 @@ def test_a_scene_that_moves_slowly_is_never_overconfident_and_wrong(simulation: 
     assert _ratio(run, simulation, LOST_S, END_S) < 5.4
 
 
+@pytest.mark.long
 def test_lost_steps_and_darkness_are_bridged_by_the_imu(simulation: Simulation) -> None:
     rng = np.random.default_rng(3)
     kept = [
@@ -151,6 +155,7 @@ def test_lost_steps_and_darkness_are_bridged_by_the_imu(simulation: Simulation) 
     assert _ratio(run, simulation, LOST_S, END_S) < 5.4
 
 
+@pytest.mark.long
 def test_odometry_before_there_is_an_estimate_does_no_harm(simulation: Simulation) -> None:
     run = _with(simulation, increments(simulation, 0.0, 25.0))
     assert Reason.ALIGNING in run.reasons(TOPIC)

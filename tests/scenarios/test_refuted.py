@@ -67,6 +67,7 @@ def test_given_beacons_that_were_wrong_for_a_moment_then_they_are_used_in_the_da
     assert np.linalg.norm(error(within(run.aligned, END_S - 1.0, END_S)[-1], t)[E.P]) < 2.0
 
 
+@pytest.mark.long
 def test_given_a_raft_that_drifts_then_it_is_not_taken_for_resting_with_gnss_or_later_without() -> None:
     def path(t: Array) -> Array:
         drift = np.column_stack([0.3 * np.maximum(t - 25.0, 0.0), np.zeros((len(t), 3))])

@@ -11,6 +11,7 @@ from models.messages import Array, Estimate, ImuSample, Input, Reason
 from models.sim.scenario import EPOCH_NS
 from models.sim.sensors import GRADES, Imu
 from models.state import E
+from tests import long
 from tests.estimator.scenes import Run, error, within
 from tests.scenarios.senses import HOME, Ride, loops, ride
 
@@ -79,7 +80,7 @@ def test_given_that_it_moves_again_then_nothing_holds_it_back(journey: Ride) -> 
     assert "rest" in run.health[-1].sources
 
 
-@pytest.mark.parametrize("is_dark", [False, True], ids=["with GNSS", "without"])
+@long.parametrize("is_dark", [False, True], ids=["with GNSS", "without"])
 def test_given_a_straight_cruise_that_feels_like_rest_then_it_is_not_stopped(is_dark: bool) -> None:
     cruise = ride(2.0, MOVES_S + 40.0, seed=4, path=_cruise, imu=_imu())
     messages = _dark(cruise.messages, BEGINS_S + 5.0, 1e9) if is_dark else cruise.messages

@@ -15,6 +15,7 @@ from models.messages import Array, GnssFix, GnssVelocity, ImuSample, Input, Odom
 from models.sim.aids import Gnss
 from models.sim.scenario import EPOCH_NS, Truth
 from models.sim.sensors import Imu
+from tests import long
 from tests.estimator.scenes import Run, by_arrival, error, within
 from tests.scenarios.senses import HOME, Ride, barometer, heading, ride, velocity_body
 
@@ -90,7 +91,7 @@ def _messages(config: Config, journey: Ride) -> list[Input]:
     return by_arrival(found)
 
 
-@pytest.mark.parametrize("file", RIGS, ids=lambda f: f.stem)
+@long.parametrize("file", RIGS, ids=lambda f: f.stem)
 def test_a_rig_finds_its_position_and_holds_it(file: Path) -> None:
     config = load(file)
     config = replace(config, map=replace(config.map, origin=(HOME.lat_deg, HOME.lon_deg, HOME.alt_m)))

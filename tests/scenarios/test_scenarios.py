@@ -14,6 +14,7 @@ from models.messages import GnssFix, Mode, PoseFix, Reason
 from models.sim.scenario import EPOCH_NS, Simulation, simulate
 from models.sim.scenario_file import loads
 from models.state import E
+from tests import long
 from tests.estimator.scenes import SECOND, Run, error, fly, position_errors, within
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "scenarios"
@@ -40,7 +41,7 @@ def test_every_example_is_flown() -> None:
     assert sorted([*ALL, *of_their_own]) == sorted(path.stem for path in EXAMPLES.glob("*.toml"))
 
 
-@pytest.mark.parametrize("name", ALL)
+@long.parametrize("name", ALL)
 def test_nothing_is_lost_and_nothing_is_nonsense(name: str) -> None:
     # GIVEN any of the examples
     simulation, run = _flown(name, ALL[name])
@@ -54,7 +55,7 @@ def test_nothing_is_lost_and_nothing_is_nonsense(name: str) -> None:
         assert len(sent) - len(run.last_words(topic)) <= 1
 
 
-@pytest.mark.parametrize("name", ["rare_fixes", "late_and_shuffled", "imu_dropout"])
+@long.parametrize("name", ["rare_fixes", "late_and_shuffled", "imu_dropout"])
 def test_the_covariance_holds_the_true_position(name: str) -> None:
     # GIVEN an example without false measurements
     simulation, run = _flown(name, ALL[name])
@@ -86,6 +87,7 @@ def test_rare_fixes_carry_the_flight_through_the_loss_of_gps_and_the_blackout() 
     assert run.health[-1].last_gnss.age_s == pytest.approx((run.health[-1].t_ns - EPOCH_NS) * 1e-9 - 50.0, abs=0.3)
 
 
+@pytest.mark.long
 def test_late_and_shuffled_fixes_lose_nothing() -> None:
     simulation, run = flown = _flown("late_and_shuffled", ALL["late_and_shuffled"])
     # GIVEN true fixes up to 5 s late, some twice, some in bundles
@@ -137,6 +139,7 @@ def test_spoofed_gnss_never_wins_beside_landmarks() -> None:
         assert Reason.FUSED not in lied
 
 
+@pytest.mark.long
 def test_a_fixed_wing_with_real_gnss_errors_keeps_to_its_landmarks() -> None:
     flown = _flown("fixed_wing", ALL["fixed_wing"])
     # GIVEN GNSS with an antenna apart, late stamps and a wandering error THEN the estimate is good to that error

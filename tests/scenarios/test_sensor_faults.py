@@ -15,6 +15,7 @@ from models.messages import ImuSample, Input, Reading, Reason
 from models.sim.scenario import EPOCH_NS
 from models.sim.sensors import GRADES, Imu
 from models.state import E
+from tests import long
 from tests.estimator.scenes import Run, by_arrival, error, within
 from tests.scenarios.senses import HOME, Ride, barometer, heading, magnetometer, range_down, ride, velocity_body
 
@@ -73,7 +74,7 @@ def _faulty(readings: list[Input], fault: str) -> list[Input]:
     return changed
 
 
-@pytest.mark.parametrize(("kind", "fault"), CASES)
+@long.parametrize(("kind", "fault"), CASES, one_in=7)
 def test_given_a_sensor_that_goes_wrong_then_that_is_said_and_the_estimate_stays_consistent(
     journey: Ride, kind: str, fault: str
 ) -> None:

@@ -11,6 +11,7 @@ from models.messages import Array, Estimate, Input, Mode, Reason
 from models.sim.scenario import EPOCH_NS, Truth
 from models.sim.sensors import GRADES
 from models.state import E, X
+from tests import long
 from tests.estimator.scenes import Run, by_arrival, error, within
 from tests.scenarios.senses import HOME, Ride, heading, magnetometer, ride
 
@@ -68,6 +69,7 @@ def test_given_a_magnetometer_then_the_heading_is_known_at_rest_and_a_hundred_re
     assert "alone" not in run.health[-1].detail
 
 
+@pytest.mark.long
 def test_given_a_long_rest_then_the_noise_of_gnss_refutes_no_magnetometer() -> None:
     """Compared reading by reading, eight headings that begin anew are better by chance within 15 s of this rest."""
     rest_s = 42.0
@@ -82,6 +84,7 @@ def test_given_a_long_rest_then_the_noise_of_gnss_refutes_no_magnetometer() -> N
     assert _nees(within(run.aligned, rest_s + 2.0, rest_s + 5.0), long.truth, E.THETA) < 2.0
 
 
+@pytest.mark.long
 def test_given_a_rest_of_minutes_then_tilt_and_bias_are_not_told_apart_before_the_vehicle_moves() -> None:
     """They show together alone. A filter that learns one of them as its heading wanders is overconfident when it moves."""
     rest_s = 150.0
@@ -98,7 +101,7 @@ def test_given_a_rest_of_minutes_then_tilt_and_bias_are_not_told_apart_before_th
 TURNED = {f"turned by {deg} deg": so3.matrix(so3.from_euler(0.0, 0.0, math.radians(deg))) for deg in (90.0, 180.0)}
 
 
-@pytest.mark.parametrize("turned", [*TURNED.values(), np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])],
+@long.parametrize("turned", [*TURNED.values(), np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])],
                          ids=[*TURNED, "x and y exchanged"])  # fmt: skip
 def test_given_wrong_axes_in_the_plane_then_motion_finds_it_out(journey: Ride, turned: Array) -> None:
     run = _run(journey, magnetometer(journey.truth, seed=1, turned=turned))
@@ -112,7 +115,7 @@ def test_given_wrong_axes_in_the_plane_then_motion_finds_it_out(journey: Ride, t
     assert sum(s.reason in {Reason.STOPPED, Reason.GATED, Reason.IMPLAUSIBLE} for s in words) > 50
 
 
-@pytest.mark.parametrize("sign", [-np.eye(3), np.diag([1.0, -1.0, -1.0])], ids=["negative", "flu for frd"])
+@long.parametrize("sign", [-np.eye(3), np.diag([1.0, -1.0, -1.0])], ids=["negative", "flu for frd"])
 def test_given_a_field_that_points_up_then_it_is_refused_and_the_heading_comes_from_motion(journey: Ride, sign: Array) -> None:
     run = _run(journey, magnetometer(journey.truth, seed=1, turned=sign))
     assert _seconds(run.aligned[0]) > REST_S
@@ -130,7 +133,7 @@ def test_given_two_antennas_then_the_heading_is_known_at_rest_to_their_accuracy(
     assert Reason.GATED not in run.reasons("/heading")
 
 
-@pytest.mark.parametrize("off_deg", [90.0, 180.0])
+@long.parametrize("off_deg", [90.0, 180.0])
 def test_given_antennas_that_are_exchanged_or_across_then_motion_finds_it_out(journey: Ride, off_deg: float) -> None:
     run = _run(journey, heading(journey.truth, seed=1, off_deg=off_deg))
     later = within(run.aligned, REST_S + 8.0, REST_S + MOVING_S)

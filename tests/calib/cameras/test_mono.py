@@ -53,6 +53,7 @@ def test_adjustment_and_sigmas_agree_with_opencv(result: mono.Mono) -> None:
     np.testing.assert_allclose(ours / theirs, np.full(9, (ours / theirs)[0]), rtol=0.02)
 
 
+@pytest.mark.long
 def test_sigma_is_the_scatter_of_many_calibrations() -> None:
     z = []
     for seed in range(12):

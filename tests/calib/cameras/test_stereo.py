@@ -53,6 +53,7 @@ def test_the_rig_comes_back_within_its_sigma(result: stereo.Stereo) -> None:
     assert verdict.of_stereo(result).grade <= verdict.Grade.USABLE
 
 
+@pytest.mark.long
 def test_sigma_is_the_scatter_of_many_calibrations() -> None:
     z = []
     for seed in range(8):

@@ -21,6 +21,7 @@ from models import so3
 from models.maps import colours
 from models.messages import LandmarkFix
 from models.prior import Prior
+from tests import long
 from vision.pipeline import PipelineConfig
 from vision.predict import fit, verify
 from vision.predict.coarse_search import CoarseConfig
@@ -61,7 +62,7 @@ def test_what_is_asked_for_is_there(experiment: Experiment, roof: Roof) -> None:
     assert 0.0 < np.abs(error / views.PRIOR_SIGMA[:3]).max() < 5.0
 
 
-@pytest.mark.parametrize("number", range(4))
+@long.parametrize("number", range(4))
 def test_partial_views_show_30_to_70_percent_and_no_landmark_better(number: int) -> None:
     s = sample("partial", "painted", number)
     seen = {name: share for name, share in shares(s.scene.world, s.scene.rig, s.p_n, s.R_nb).items() if name in s.scene.map}
@@ -152,6 +153,7 @@ def test_all_are_asked_again_until_they_answer_and_each_pair_is_another_one() ->
     assert len(shown) == 2
 
 
+@pytest.mark.long
 def test_the_others_too_get_the_next_pair() -> None:
     """A dark first pair: SIFT finds the ground in the second one, where it is shown it."""
     dark = dataclasses.replace(sample(), left=np.zeros_like(sample().left), right=np.zeros_like(sample().right))
@@ -201,6 +203,7 @@ def test_sift_and_flann_find_the_position_by_its_ground() -> None:
     assert recognisers.sift_and_flann(dataclasses.replace(s, reference=None), checked, True).verdict == "silent"
 
 
+@pytest.mark.long
 def test_sift_and_flann_are_at_their_best(landfix_data: Path) -> None:
     """A box half hidden in a scene, a wall seen askew, a street in other light are found; a box is not found on the wall."""
     folder = landfix_data / "images/opencv_feature_pairs"
@@ -235,6 +238,7 @@ def test_the_command(tmp_path: Path) -> None:
     assert drawn.shape[1] > 800
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("summits", "verdict"), [(20, "recognised"), (1, "silent")])
 def test_the_position_by_cut_roofs_is_not_the_best_one_of_the_reduced_image(summits: int, verdict: str) -> None:
     c = PipelineConfig()
@@ -249,12 +253,13 @@ def test_names_that_are_not_known() -> None:
     assert "accuracy, size, partial, description" in result.stderr
 
 
+@pytest.mark.long
 def test_roofs_are_not_found_on_the_shadows_that_they_cast() -> None:
     """Shadows have the roofs' shapes, all at one distance the same way, in one image as in the next."""
     assert recognisers.landfix(views.draw("description", "pale", 402, 0), timed=False).verdict == "recognised"
 
 
-@pytest.mark.parametrize(("roof", "seed", "number"), [("painted", 621, 47), ("pale", 722, 34)])
+@long.parametrize(("roof", "seed", "number"), [("painted", 621, 47), ("pale", 722, 34)])
 def test_a_roof_of_which_a_tower_hides_half_is_named_where_the_rest_leaves_no_doubt(
     monkeypatch: pytest.MonkeyPatch, roof: views.Roof, seed: int, number: int
 ) -> None:
@@ -266,6 +271,7 @@ def test_a_roof_of_which_a_tower_hides_half_is_named_where_the_rest_leaves_no_do
     assert recognisers.landfix(hidden, strict, timed=False).verdict == "silent"
 
 
+@pytest.mark.long
 def test_a_position_behind_the_twentieth_summit_is_found() -> None:
     """Pale roofs of which half is in view: the most reduced image shows more edges elsewhere."""
     sample, few = views.draw("partial", "pale", 722, 95), PredictConfig(coarse=CoarseConfig(summits=20, peaks=5))
@@ -273,6 +279,7 @@ def test_a_position_behind_the_twentieth_summit_is_found() -> None:
     assert recognisers.landfix(sample, PipelineConfig(predict=few), timed=False).verdict == "silent"
 
 
+@pytest.mark.long
 def test_a_position_with_more_votes_that_leads_to_the_same_fit_is_no_other_position(monkeypatch: pytest.MonkeyPatch) -> None:
     sample = views.draw("partial", "pale", 741, 71)
     assert recognisers.landfix(sample, timed=False).verdict == "recognised"
@@ -280,6 +287,7 @@ def test_a_position_with_more_votes_that_leads_to_the_same_fit_is_no_other_posit
     assert recognisers.landfix(sample, timed=False).verdict == "silent"
 
 
+@pytest.mark.long
 def test_the_thesis_is_asked_for_a_landmark_however_far_the_view_reaches() -> None:
     """A prior 70 m aside: the landmark asked for is not among those within 50 m of it."""
     sample = views.draw("accuracy", "painted", 3, 0)

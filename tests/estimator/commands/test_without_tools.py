@@ -59,6 +59,7 @@ def test_without_cameras_nothing_needs_tools_or_opencv(flight: Path, tmp_path: P
     )
 
 
+@pytest.mark.long
 def test_the_daemon_needs_no_tools_or_opencv(tmp_path: Path) -> None:
     port = free_port()
     config = tmp_path / "vehicle.toml"

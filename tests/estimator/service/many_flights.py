@@ -3,7 +3,7 @@
 compiled: as the daemon's own report counts it; new: kernels of which a flight from a log, the first of all, has more signatures
 than the warm-up. (The simulator of the other flights, in this process, has kernels of its own.)
 
-python -m tests.estimator.service.many_flights FLIGHT.mcap
+python -m tests.estimator.service.many_flights FLIGHT.mcap [SCENARIOS]
 """
 
 import gc
@@ -62,10 +62,10 @@ def with_less(fix: PoseFix, turn: int) -> PoseFix | LandmarkFix:
     return structs.replace(fix, covariance=covariance)
 
 
-def flights() -> list[tuple[str, list[Input]]]:
+def flights(scenarios: int) -> list[tuple[str, list[Input]]]:
     """Configuration and messages, in order of arrival: fixes whole and in part, a barometer, and an IMU that is missing."""
     found = []
-    for seed, text in enumerate(SCENARIOS):
+    for seed, text in enumerate(SCENARIOS[:scenarios]):
         simulation, turns = simulated(text, seed), itertools.cycle(range(7))
         messages = [with_less(m, next(turns)) if isinstance(m, PoseFix) and seed != 2 else m for m in simulation.messages]
         messages += [
@@ -108,7 +108,7 @@ def main() -> None:
     fused = {s.topic for s in logged if isinstance(s, AidStatus) and s.reason is Reason.FUSED}
     found = {"warm": len(warm), "new": new, "fused": sorted(fused), "logged": sum(isinstance(s, Estimate) for s in logged)}
     reasons, estimates = Counter[str](), 0
-    for seed, (text, messages) in enumerate(flights()):
+    for seed, (text, messages) in enumerate(flights(int(sys.argv[2]) if len(sys.argv) > 2 else len(SCENARIOS))):
         fusion, publisher = Fusion(config_of(simulated(text, seed))), Publisher(OutputConfig())
         for message in messages:
             said = fusion.handle(message)

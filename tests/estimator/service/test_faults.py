@@ -14,6 +14,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+import pytest
 import zenoh
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -140,6 +141,7 @@ def test_while_a_serial_line_is_unplugged_the_estimate_coasts_and_then_it_is_aid
     _assert_consistent(log, text)
 
 
+@pytest.mark.long
 def test_during_a_flood_on_one_topic_estimates_stay_in_time_and_the_log_replays_to_the_same_bytes(tmp_path: Path) -> None:
     """As fast as a thread can put, for three seconds: each message is another one, so none is dropped as a repetition."""
     port = free_port()
@@ -171,6 +173,7 @@ def test_during_a_flood_on_one_topic_estimates_stay_in_time_and_the_log_replays_
     assert_replay_says_the_same(log, text)
 
 
+@pytest.mark.long
 def test_a_thousand_malformed_frames_a_second_cost_nothing(tmp_path: Path) -> None:
     with (
         closing(UdpAutopilot()) as autopilot,
@@ -218,6 +221,7 @@ def _dropped(link: MavlinkLink) -> int:
     return dropped
 
 
+@pytest.mark.long
 def test_a_subscriber_that_stands_still_delays_no_other_and_receives_again_when_it_continues(tmp_path: Path) -> None:
     """Before the flight more is sent than all buffers on the way to it hold. Waiting for it would take Zenoh's 5 s."""
     port, heard = free_port(), tmp_path / "heard"
@@ -258,6 +262,7 @@ def test_a_subscriber_that_stands_still_delays_no_other_and_receives_again_when_
     _assert_consistent(log, text)
 
 
+@pytest.mark.long
 def test_while_a_zenoh_router_is_restarted_the_flight_goes_on_and_who_listens_there_hears_again(tmp_path: Path) -> None:
     """The sensors are on this computer, the listener is behind the router; then sensors behind the router, too, are heard."""
     port, routed = free_port(), free_port()

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+import pytest
 from rich.console import Console
 
 from estimator.config import parse
@@ -141,6 +142,7 @@ def test_links_and_defects_are_shown_where_there_are_any() -> None:
     assert "1, the last: KeyError: 7" in text
 
 
+@pytest.mark.long
 def test_it_watches_a_daemon_and_draws_it(tmp_path: Path) -> None:
     port = free_port()
     text = toml(tmp_path, port)

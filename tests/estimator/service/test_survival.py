@@ -75,6 +75,7 @@ def _precedence() -> int:
     return ours if refused else -10
 
 
+@pytest.mark.long
 def test_a_process_that_was_stopped_for_three_seconds_goes_on(tmp_path: Path) -> None:
     port = free_port()
     text = toml(tmp_path, port)
@@ -100,6 +101,7 @@ def test_a_process_that_was_stopped_for_three_seconds_goes_on(tmp_path: Path) ->
     assert_replay_says_the_same(log, text)
 
 
+@pytest.mark.long
 def test_while_the_disk_is_full_it_flies_on_and_the_log_has_all_of_it_in_the_end(tmp_path: Path) -> None:
     """The limit on the size of files stands for the full disk: a write fails in the middle, later ones succeed again."""
     port = free_port()
@@ -165,6 +167,7 @@ def _publisher_on_domain(session: zenoh.Session, domain: int) -> zenoh.Livelines
     )
 
 
+@pytest.mark.long
 def test_quiet_it_prints_nothing_and_a_terminal_that_is_closed_stops_it(tmp_path: Path) -> None:
     is_ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN  # by nohup, and so by the daemon
     port = free_port()

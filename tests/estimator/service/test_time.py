@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from benchmarks.service.vehicle import gnss, imu, pose_fix, truth
 from estimator.config import parse
@@ -17,6 +16,7 @@ from estimator.service.run import assembled
 from logs.wire.codec import encode_input
 from logs.wire.stamps import restamped
 from models.messages import Input
+from tests import long
 from tests.estimator.service.flying import assert_replay_says_the_same, assert_sound, logs_of, odometry, records, toml
 
 SECOND = 1_000_000_000
@@ -74,7 +74,7 @@ def _assert_flown(log: Path, seconds: float) -> None:
     assert 0.005 < errors.mean() < 0.4
 
 
-@pytest.mark.parametrize("step_ns", [HOUR, -HOUR, SECOND // 2, -SECOND // 2])
+@long.parametrize("step_ns", [HOUR, -HOUR, SECOND // 2, -SECOND // 2])
 def test_a_wall_clock_that_steps_is_not_noticed(tmp_path: Path, step_ns: int) -> None:
     world = World()
     with _daemon(world, tmp_path) as (daemon, text):

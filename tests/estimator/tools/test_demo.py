@@ -113,6 +113,7 @@ def test_the_blackout_is_found_and_survived(result: demonstration.DemoResult) ->
     assert sum(result.replay.fixes["/pose_fix"].values()) >= 12
 
 
+@pytest.mark.long
 def test_of_a_flight_with_cameras_map_rig_and_overlay_are_written_too(seen: demonstration.DemoResult) -> None:
     beside = ["map.geojson", "overlay.png", "rig.yaml", "without_odometry.mcap"]
     assert sorted(p.name for p in Path(seen.folder).iterdir()) == sorted([*FLOWN, *beside])
@@ -121,6 +122,7 @@ def test_of_a_flight_with_cameras_map_rig_and_overlay_are_written_too(seen: demo
     assert (config.map.landmarks, config.rig.file) == ("map.geojson", "rig.yaml")
 
 
+@pytest.mark.long
 def test_the_report_shows_what_the_cameras_saw_and_why_there_was_no_fix(seen: demonstration.DemoResult) -> None:
     page = Path(seen.report).read_text()
     assert 8 <= page.count("data:image/jpeg;base64,") <= 13
@@ -131,6 +133,7 @@ def test_the_report_shows_what_the_cameras_saw_and_why_there_was_no_fix(seen: de
     assert "gyroscope bias" in page
 
 
+@pytest.mark.long
 def test_what_the_cameras_see_carries_on_without_gps_but_not_in_the_dark(seen: demonstration.DemoResult) -> None:
     assert seen.replay.internal_errors == 0
     assert 12 <= seen.replay.fixes["/landfix/fix"]["fused"] <= 22  # of 28 pairs 6 are dark
@@ -144,6 +147,7 @@ def test_what_the_cameras_see_carries_on_without_gps_but_not_in_the_dark(seen: d
     assert without_gps.duration_s > 20.0
 
 
+@pytest.mark.long
 def test_odometry_is_used_but_not_in_the_dark_and_the_flight_without_it_stands_beside(seen: demonstration.DemoResult) -> None:
     (blackout,) = (o for o in seen.evaluation.outages if o.source == "all")
     (without_gps,) = (o for o in seen.evaluation.outages if o.source == "/gnss")
@@ -157,6 +161,7 @@ def test_odometry_is_used_but_not_in_the_dark_and_the_flight_without_it_stands_b
     assert "Odometry in outages" in Path(seen.report).read_text()
 
 
+@pytest.mark.long
 def test_one_camera_carries_the_flight_as_well(tmp_path: Path) -> None:
     """No right image is rendered, recorded or waited for; fixes and odometry of the left one carry the estimate without GPS."""
     flown = demonstration.demo(tmp_path / "mono", seed=1, scenario=SEEN, one_camera=True)

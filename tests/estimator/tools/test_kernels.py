@@ -37,6 +37,7 @@ def cannot() -> None:
     raise SystemExit(3)
 
 
+@pytest.mark.long
 def test_what_was_compiled_of_other_sources_is_forgotten(tmp_path: Path) -> None:
     said = {**environment(), "NUMBA_CACHE_DIR": str(tmp_path)}
     subprocess.run([sys.executable, "-c", _STALE], env=said, check=True)
@@ -83,6 +84,7 @@ def test_a_part_that_fails_is_said_and_not_marked(nothing_there: list[str]) -> N
     assert nothing_there == ["forgotten"]
 
 
+@pytest.mark.long
 def test_parts_run_two_at_a_time_and_progress_is_a_line_a_tenth(
     nothing_there: list[str], capfd: pytest.CaptureFixture[str]
 ) -> None:

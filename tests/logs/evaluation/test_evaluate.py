@@ -17,6 +17,7 @@ from logs.store.reader import LogError, LogReader
 from logs.wire import schemas
 from logs.wire.codec import encode, encode_input, encode_truth
 from models.messages import AidStatus, GnssFix, Reason
+from tests import long
 from tests.logs import flight_log
 from tests.logs.flight_log import EPOCH_NS, Flight, geodetic, rewritten, truth_at
 
@@ -370,7 +371,7 @@ def test_the_table_needs_no_truth(log: Path, tmp_path: Path) -> None:
     assert "note: no truth" in out.getvalue()
 
 
-@pytest.mark.parametrize(("sequence", "rmse_m", "median_deg"), [("V1_02_medium", 0.06, 1.8), ("MH_04_difficult", 0.17, 0.8)])
+@long.parametrize(("sequence", "rmse_m", "median_deg"), [("V1_02_medium", 0.06, 1.8), ("MH_04_difficult", 0.17, 0.8)])
 def test_a_real_flight_with_nothing_but_poses(
     landfix_data: Path, tmp_path: Path, sequence: str, rmse_m: float, median_deg: float
 ) -> None:

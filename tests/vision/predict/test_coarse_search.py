@@ -14,6 +14,7 @@ from models.camera import CameraModel
 from models.maps.landmarks import Landmark
 from models.messages import Array
 from models.prior import Prior
+from tests import long
 from tests.vision.roofs import nadir_rig
 from vision.image.rectify import Image
 from vision.image.reduced import Field, Level, levels
@@ -89,7 +90,7 @@ def off_px(view: Seen, position: Candidate, mapped: tuple[Landmark, ...] | None 
     return worst
 
 
-@pytest.mark.parametrize("seed", range(6))
+@long.parametrize("seed", range(6))
 def test_outlines_a_hundred_pixels_off_are_found_to_a_few(seed: int) -> None:
     rng = np.random.default_rng(seed)
     direction = rng.uniform(0.0, 2.0 * np.pi)

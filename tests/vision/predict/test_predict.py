@@ -18,6 +18,7 @@ from models.camera import StereoRig
 from models.maps.landmarks import Landmark, LandmarkMap
 from models.messages import Array
 from models.prior import Prior
+from tests import long
 from tests.vision.part_views import part_view
 from tests.vision.roofs import nadir_rig
 from vision.identify.ambiguity import steps_off
@@ -106,7 +107,7 @@ def assert_right(result: Result, view: View) -> None:
     assert np.linalg.norm(e) < 1.0
 
 
-@pytest.mark.parametrize("seed", range(4))
+@long.parametrize("seed", range(4))
 def test_pale_roofs_that_no_colour_distinguishes_from_the_ground_give_a_fix(seed: int) -> None:
     view = whole()
     result = pipeline(MARKS).process(view.left, view.right, 5, drawn(view, seed))

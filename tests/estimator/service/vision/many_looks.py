@@ -2,11 +2,12 @@
 
 compiled: as the daemon's own report counts it; new: kernels that have more signatures than after the warm-up.
 
-python -m tests.estimator.service.vision.many_looks
+python -m tests.estimator.service.vision.many_looks [RIGS]
 """
 
 import gc
 import json
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from itertools import product
@@ -41,9 +42,9 @@ RIGS = (
 )
 
 
-def looks() -> Iterator[tuple[Processor, tuple[Pixels | None, Pixels | None], tuple[Array, Array], Array]]:
-    """Vision with its map and rig, images, the true pose and the prior's sigmas."""
-    for seed, rig in enumerate(RIGS):
+def looks(rigs: int) -> Iterator[tuple[Processor, tuple[Pixels | None, Pixels | None], tuple[Array, Array], Array]]:
+    """Vision with its map and rig, images, the true pose and the prior's sigmas; of the first rigs."""
+    for seed, rig in enumerate(RIGS[:rigs]):
         layout = ("village", "lookalikes", "grid")[seed % 3]
         scene = make_world(seed, WorldSpec(layout, 160.0, painted=0.6, flat=0.3, unmapped=0.2, gone=0.1, sigma_m=0.2, rig=rig))  # type: ignore[arg-type]
         world = night(scene.world, np.random.default_rng(1)) if seed == 2 else scene.world
@@ -114,7 +115,7 @@ def main() -> None:
     compiled = list[str]()
     compilation.listen(lambda kernel, _: compiled.append(kernel) if kernel else None)
     outcomes, count = Counter[str](), 0
-    for processor, images, (p_n, R_nb), sigmas in looks():
+    for processor, images, (p_n, R_nb), sigmas in looks(int(sys.argv[1]) if len(sys.argv) > 1 else len(RIGS)):
         count += 1
         t_ns = count * 10**9
         shots = [None if p is None else _shot(t_ns, p, raw=bool(count % 2)) for p in images]

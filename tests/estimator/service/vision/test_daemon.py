@@ -86,6 +86,7 @@ def _again(log: Path, out: Path, config_file: Path, config: Config) -> ImageCoun
     return images.counts
 
 
+@pytest.mark.long
 def test_images_carry_the_estimate_past_the_death_of_vision(flown: tuple[Path, Path, int]) -> None:
     log, _, killed_ns = flown
     fixes = [stamp_of(data) or 0 for _, data in _records(log, "/landfix/fix")]
@@ -98,6 +99,7 @@ def test_images_carry_the_estimate_past_the_death_of_vision(flown: tuple[Path, P
     assert np.linalg.norm(np.subtract(last.p_n, PLACE)) < 1.5
 
 
+@pytest.mark.long
 def test_each_sample_has_its_estimate_and_nothing_is_lost_meanwhile(flown: tuple[Path, Path, int]) -> None:
     log, _, killed_ns = flown
     samples = [stamp_of(data) or 0 for _, data in _records(log, "/imu")]
@@ -108,6 +110,7 @@ def test_each_sample_has_its_estimate_and_nothing_is_lost_meanwhile(flown: tuple
     assert_sound(log)
 
 
+@pytest.mark.long
 def test_its_log_replayed_from_images_gives_the_same_fixes_and_estimates(flown: tuple[Path, Path, int], tmp_path: Path) -> None:
     log, config_file, _ = flown
     config = load(config_file)
@@ -118,6 +121,7 @@ def test_its_log_replayed_from_images_gives_the_same_fixes_and_estimates(flown: 
         assert _records(tmp_path / "again.mcap", topic) == _records(log, topic)
 
 
+@pytest.mark.long
 def test_its_log_replayed_from_fixes_gives_the_same_estimates(flown: tuple[Path, Path, int], tmp_path: Path) -> None:
     log, config_file, _ = flown
     replay(log, tmp_path / "again.mcap", load(config_file))

@@ -4,6 +4,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from calib.files.formats import save_rig
 from estimator.frontend.key_frames import VisualOdometryConfig
@@ -20,6 +21,7 @@ from models.state import E, X
 from tests.vision.odometry import scene
 
 
+@pytest.mark.long
 def test_it_answers_with_increments(tmp_path: Path) -> None:
     """Two pairs 1 s apart while the estimate moves as they do: request, report and increment; one pair alone asks nothing."""
     save_rig(tmp_path / "rig.yaml", scene.RIG)

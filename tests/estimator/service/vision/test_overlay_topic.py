@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+import pytest
 import zenoh
 
 from estimator.config import Config, load
@@ -66,6 +67,7 @@ def _counts(session: zenoh.Session) -> Callable[[str], int]:
     return lambda name: int(status(session).get(f"vision {name}", "0"))
 
 
+@pytest.mark.long
 def test_drawn_while_somebody_subscribes_and_only_then(tmp_path: Path) -> None:
     port = free_port()
     config = _configuration(tmp_path, port, f"overlay_hz = {OVERLAY_HZ}")

@@ -19,6 +19,7 @@ from estimator.service.zenoh.keys import attachment
 from models import so3
 from models.messages import AidStatus, Estimate, Mode, Reason
 from models.state import E, X
+from tests import long
 from tests.estimator.service.flying import client, fly, free_port, in_thread, status, toml, until
 
 SECOND = 1_000_000_000
@@ -141,7 +142,7 @@ class _Px4:
         return [read for name, read, _ in self.heard if name == schema]
 
 
-@pytest.mark.parametrize("release", ["1.17", "1.18"])
+@long.parametrize("release", ["1.18", "1.17"])
 def test_px4_is_reported_in_its_own_time_what_it_does_not_know_itself(tmp_path: Path, release: str) -> None:
     port = free_port()
     keys = f'enabled = true\nrelease = "{release}"\nslot = 2\norigin = "map"\n'

@@ -32,6 +32,7 @@ def results(fleet: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long
 def test_a_wrong_antenna_is_found_and_breaks_the_budget(results: Path, tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     budget = ("--fail-if", "max_m worse 10 % on 50 %")
@@ -43,6 +44,7 @@ def test_a_wrong_antenna_is_found_and_breaks_the_budget(results: Path, tmp_path:
     assert landfix("compare", results, "--labels", "before,before", *budget).exit_code == 0
 
 
+@pytest.mark.long
 def test_rows_are_shown_and_asked(results: Path) -> None:
     assert {row["label"]: row["flights"] for row in json.loads(landfix("show", results, "--json").stdout)} == {
         "before": 3,
@@ -74,6 +76,7 @@ def test_what_cannot_be_done_is_said_in_one_line(
     assert done.stderr.count("\n") == 1
 
 
+@pytest.mark.long
 def test_the_notebook_runs(results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("results").symlink_to(results)

@@ -64,6 +64,7 @@ def test_what_has_a_row_is_not_computed_again(fleet: Path, before: Path, client:
         run(flights([f"{fleet}/0.mcap"]), other, str(before), client)
 
 
+@pytest.mark.long
 def test_a_store_that_fails_and_a_worker_that_is_killed_change_no_row(fleet: Path, before: Path) -> None:
     expected = rows(before, "before")
     with bucket(0.05) as (store, application), cluster(2) as client:

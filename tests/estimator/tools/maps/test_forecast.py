@@ -52,6 +52,7 @@ def test_where_houses_differ_the_radius_stays_small_and_beyond_them_it_grows() -
     assert {row.state for row in result.rows if row.way_m > 480.0} == {"none"}
 
 
+@pytest.mark.long
 def test_equal_houses_give_no_fix_once_the_radius_is_half_their_distance() -> None:
     """With few fixes, the radius grows between them: where houses differ the next one brings it back."""
     flight = fly(places((0.0, 0.0), (400.0, 0.0)), Origin(*ORIGIN), 80.0, 8.0)

@@ -94,6 +94,7 @@ def pairs(the_map: LandmarkMap) -> list[tuple[Landmark, Landmark]]:
     return found
 
 
+@pytest.mark.long
 def test_what_is_learned_is_there_as_exactly_as_it_reports(flown: Path) -> None:
     the_map = LandmarkMap.from_geojson((flown / "learned.geojson").read_bytes())
     matched = pairs(the_map)
@@ -111,6 +112,7 @@ def test_what_is_learned_is_there_as_exactly_as_it_reports(flown: Path) -> None:
     assert np.median(np.abs(sides)) < 0.15
 
 
+@pytest.mark.long
 def test_the_summary_reports_what_became_of_the_images(flown: Path) -> None:
     summary = json.loads((flown / "learned.json").read_text())
     assert summary["images"] + sum(summary["skipped"].values()) == 53
@@ -120,6 +122,7 @@ def test_the_summary_reports_what_became_of_the_images(flown: Path) -> None:
     assert summary["left_out"]["seen in fewer than 4 images"] > 0
 
 
+@pytest.mark.long
 def test_the_map_is_one_that_check_accepts(flown: Path) -> None:
     checked: dict[str, Any] = json.loads(run("map", "check", flown / "learned.geojson", "--json").stdout)
     assert checked["usable"]
@@ -128,6 +131,7 @@ def test_the_map_is_one_that_check_accepts(flown: Path) -> None:
     assert [states[f"without {name}"] for name in ("height_m", "ground_alt_m", "sigma_m", "colour")] == ["ok"] * 4
 
 
+@pytest.mark.long
 def test_it_is_marked_automatic_until_somebody_has_checked_it(flown: Path, tmp_path: Path) -> None:
     def automatic(path: Path) -> tuple[bool, str]:
         states = {c["name"]: c["state"] for c in json.loads(run("map", "check", path, "--json").stdout)["checks"]}
@@ -144,6 +148,7 @@ def test_it_is_marked_automatic_until_somebody_has_checked_it(flown: Path, tmp_p
     assert len(kept) == len(was)
 
 
+@pytest.mark.long
 def test_without_gps_it_carries_the_flight_and_the_covariance_is_consistent(flown: Path, tmp_path: Path) -> None:
     (tmp_path / "scenario.toml").write_text(FLYING)
     simulated(tmp_path / "scenario.toml", tmp_path / "fly.mcap", 8)
@@ -170,6 +175,7 @@ def test_wrong_usage(tmp_path: Path, more: list[str], words: str) -> None:
     assert words in result.stderr
 
 
+@pytest.mark.long
 def test_a_log_from_which_nothing_can_be_learned_gets_one_line(flown: Path, tmp_path: Path) -> None:
     (tmp_path / "scenario.toml").write_text(LEARNING.replace("duration_s = 80.0", "duration_s = 40.0"))
     run("simulate", tmp_path / "scenario.toml", "-o", tmp_path / "dark.mcap", "--no-images")

@@ -148,6 +148,7 @@ def test_only_what_fixes_used_is_measured_unless_all_is_asked_for(tmp_path: Path
     assert all(m["radius95_m"] == pytest.approx(2.4477 * SIGMA_M, rel=1e-3) for m in moments)
 
 
+@pytest.mark.long
 def test_images_are_chosen_and_no_video_is_written_unasked(tmp_path: Path) -> None:
     log = _write(tmp_path / "a.mcap")
     moments = [_numbers(log, *choice)["moments"] for choice in (["--every", 3], ["--start", 0.9], ["--seconds", 0.6])]

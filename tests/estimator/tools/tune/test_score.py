@@ -155,6 +155,7 @@ def test_the_noise_of_the_simulation_scores_best_and_is_consistent(flight: tuple
     assert truth.nis_per_dof < low.nis_per_dof < 1.4
 
 
+@pytest.mark.long
 def test_fixes_that_claim_too_much_are_found_out(tmp_path: Path) -> None:
     """What fixes claim is half of what they are: scaled by two they score better."""
     path, simulation = simulated(tmp_path / "bold.mcap", seed=7)
@@ -167,6 +168,7 @@ def test_fixes_that_claim_too_much_are_found_out(tmp_path: Path) -> None:
     assert scores[1] > scores[2] + 0.2
 
 
+@pytest.mark.long
 def test_against_a_truth_the_whole_flight_counts(flight: tuple[str, str]) -> None:
     log, config = flight
     windows = score(Job(log, config, {}, truth="/truth"))

@@ -176,6 +176,7 @@ def _tune(flights: tuple[list[Path], Path], out: Path, *more: str) -> dict[str, 
     return dict(json.loads(result.stdout))
 
 
+@pytest.mark.long
 def test_flights_tell_the_noise_and_others_are_predicted_better_for_it(flights: tuple[list[Path], Path], tmp_path: Path) -> None:
     said = _tune(flights, tmp_path / "tuned.toml", "--jobs", "1")
     tuned, before = load(tmp_path / "tuned.toml"), load(flights[1])
@@ -196,10 +197,12 @@ def alone(short_flights: tuple[list[Path], Path], tmp_path_factory: pytest.TempP
     return alone
 
 
+@pytest.mark.long
 def test_the_same_by_two_processes(short_flights: tuple[list[Path], Path], alone: dict[str, Any], tmp_path: Path) -> None:
     assert _tune(short_flights, tmp_path / "two.toml", "--jobs", "2", *_SHORT) == alone
 
 
+@pytest.mark.long
 def test_the_same_over_a_scheduler(short_flights: tuple[list[Path], Path], alone: dict[str, Any], tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of dask's own
