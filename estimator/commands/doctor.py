@@ -41,10 +41,14 @@ def command(
         bool,
         typer.Option("--autopilot", help="Read the autopilot's parameters and check them; landfix must not be running."),
     ] = False,
+    live: Annotated[
+        float | None,
+        typer.Option("--live", metavar="SECONDS", min=3.0, help="Check the running sensors, the vehicle at rest; sends nothing."),
+    ] = None,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Show the checks that are ok, too.")] = False,
     json: Json = False,
 ) -> None:
-    """Check machine, configuration, autopilot and log.
+    """Check machine, configuration, autopilot, running sensors and log.
 
     Every warning and failure comes with advice. Exit code 1 if something fails.
 
@@ -53,6 +57,7 @@ def command(
       landfix doctor -v                           this machine, with the checks that are ok
       landfix doctor -c vehicle.toml              and a configuration: cameras, ports, devices, secrets, the folder of the logs
       landfix doctor -c vehicle.toml --autopilot  and the parameters of the autopilot, over [mavlink] endpoint
+      landfix doctor -c vehicle.toml --live 15    what comes in 15 s: rates, delays, noise, axes, what is missing, what to set
       landfix doctor flight.mcap -c vehicle.toml  and a log: topics, rates, stamps, units, axes, delays
       landfix doctor --config > vehicle.toml      what a vehicle has of its own, with default, unit and meaning
       landfix doctor --config --all               every key of the configuration
@@ -66,6 +71,8 @@ def command(
         raise typer.BadParameter("--all belongs to --config")
     if autopilot and file is None:
         raise typer.BadParameter("--autopilot needs -c FILE: [mavlink] endpoint says where it is")
+    if live and (log or file is None):
+        raise typer.BadParameter("--live needs -c FILE, and takes no log: it records one and checks it")
     from estimator.tools.doctor import machine
 
     checks = machine.machine()
@@ -79,28 +86,33 @@ def command(
         from estimator.tools.doctor import autopilot as doctor_autopilot
 
         checks += doctor_autopilot.autopilot(config, file.parent)
+    heard: list[Check] = []
+    if live and file and config:
+        from estimator.tools.doctor import live as doctor_live
+
+        typer.echo(f"listening for {live:g} s; the vehicle stands still", err=True)
+        heard = doctor_live.live(config, file.parent, live, lambda line: typer.echo(line, err=True))
     if log and config:
         from estimator.tools.doctor import log as doctor_log
 
         with progress(f"read {log.name}") as report:
             checks += doctor_log.log(log, config, report)
     if json:
-        print_json({"checks": checks, "failed": machine.failed(checks)})
+        print_json({"checks": checks + heard, "failed": machine.failed(checks + heard)})
     else:
-        _print_checks(checks, verbose)
-    if machine.failed(checks):
+        _print_checks(checks + heard, [c for c in checks if verbose or c.state != "ok"] + heard)
+    if machine.failed(checks + heard):
         raise typer.Exit(1)
 
 
-def _print_checks(checks: "list[Check]", verbose: bool) -> None:
+def _print_checks(checks: "list[Check]", shown: "list[Check]") -> None:
     from rich.text import Text
 
-    shown = [c for c in checks if verbose or c.state != "ok"]
     rows = [(Text(c.state, style=_COLOURS[c.state]), c.name, c.found + (f"\n-> {c.advice}" if c.advice else "")) for c in shown]
     if rows:
         print_table("landfix doctor", rows)
     ok = sum(c.state == "ok" for c in checks)
-    typer.echo(f"{ok} of {len(checks)} checks ok" + ("" if verbose else " (-v shows them)"))
+    typer.echo(f"{ok} of {len(checks)} checks ok" + ("" if len(shown) == len(checks) else " (-v shows them)"))
 
 
 def _print_keys(json: bool, every: bool) -> None:

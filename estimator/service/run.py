@@ -90,6 +90,14 @@ class RunConfig(Protocol):
     def toml(self) -> str: ...  # noqa: D102
 
 
+class Listener(Outbox, Protocol):
+    """Takes part in the daemon's place (`landfix doctor --live`)."""
+
+    def published(self, topic: str, schema: str) -> None:
+        """Somebody publishes a topic, whether or not it is an input."""
+        ...
+
+
 def run(config: RunConfig, folder: Path, *, quiet: bool = False) -> None:
     """Fly until SIGTERM or SIGINT; folder: of the configuration's files; quiet: errors only.
 
@@ -130,8 +138,9 @@ def assembled(
     clock: Clock | None = None,
     alive: Callable[[], None] = lambda: None,
     console: Console | None = None,
+    listener: Listener | None = None,
 ) -> Iterator[Daemon]:
-    """The daemon with log, links and last state, open for the context."""
+    """The daemon with log, links and last state, open for the context; a listener gets what the links would send."""
     console = console or Console()
     attachments = _attachments(config, folder)
     console.say("loading kernels; the first start on a machine compiles them, which takes a minute or more")
@@ -183,7 +192,7 @@ def assembled(
             decoder=config.decoder(),
             publisher=Publisher(config.output),
             mailbox=mailbox,
-            outboxes=outboxes,
+            outboxes=[listener] if listener else outboxes,
             log=log,
             stamps=stamps,
             clock=clock,
@@ -197,6 +206,8 @@ def assembled(
         if bus:
             _serve(bus, status, attachments)
             bus.watch_domains(config.inputs.imu, console.say)
+            if listener:
+                bus.watch_publishers(listener.published)
             bus.open_inputs(mailbox)
         if px4:
             px4.open_inputs(mailbox, config.inputs)

@@ -138,6 +138,16 @@ class ZenohBus:
             receive = partial(lambda topic, sample: notice(topic, str(sample.key_expr)), topic)
             self._kept.append(live.declare_subscriber(keys.publisher_tokens(topic), receive, history=True))
 
+    def watch_publishers(self, notice: Callable[[str, str], None]) -> None:
+        """Report topic and type of whatever others publish on our domain."""
+
+        def receive(sample: zenoh.Sample) -> None:
+            if (found := keys.published_of(str(sample.key_expr))) and sample.kind == zenoh.SampleKind.PUT:
+                notice(*found)
+
+        tokens = keys.every_publisher(self._config.domain)
+        self._kept.append(self.session.liveliness().declare_subscriber(tokens, receive, history=True))
+
     def open_inputs(self, inbox: Inbox) -> None:
         """Subscribe; from now on the inbox fills."""
         zid, live = str(self.session.zid()), self.session.liveliness()

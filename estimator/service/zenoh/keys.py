@@ -55,6 +55,18 @@ def publisher_tokens(topic: str) -> str:
     return f"@ros2_lv/*/*/*/*/MP/*/*/*/%{topic.strip('/').replace('/', '%')}/**"
 
 
+def every_publisher(domain: int) -> str:
+    """Tokens of all publishers on a domain."""
+    return f"@ros2_lv/{domain}/*/*/*/MP/**"
+
+
+def published_of(token: str) -> tuple[str, str] | None:
+    """Topic and schema of a publisher's token; None: invalid."""
+    name, kind = [*token.split("/"), *[""] * 11][9:11]
+    package, _, kind = kind.removesuffix("_").partition("::msg::dds_::")
+    return (name.replace("%", "/"), f"{package}/msg/{kind}") if name and kind else None
+
+
 def domain_of(token: str) -> int:
     """Domain of a publisher's token; -1: invalid."""
     domain = token.split("/")[1]

@@ -1,22 +1,23 @@
 """Is a log fit for a replay?"""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 
-from estimator.config import Config
+from estimator.config import Config, Inputs
 from estimator.fusion import Fusion
 from estimator.replay.summary import SummaryBuilder
 from estimator.sources.aids import aid_of
 from estimator.sources.base.aid import Aid, Refusal
 from estimator.tools.doctor.machine import Check, judge
+from estimator.tools.doctor.noise import Noise
 from logs.findings import Watch
 from logs.store.reader import LogError, LogReader
 from logs.store.recorder import METADATA_NAME
 from logs.wire.sensors import SENSORS
-from models.frames import GRAVITY
+from models.frames import GRAVITY, Origin
 from models.messages import ATTITUDE_TOPIC, Array, Estimate, ImuSample, Input, Reading, Reason, Unusable
 
 _SCHEMAS = {  # what a topic must carry to feed an input
@@ -24,8 +25,10 @@ _SCHEMAS = {  # what a topic must carry to feed an input
     "gnss": "sensor_msgs/msg/NavSatFix",
     "gnss_velocity": "geometry_msgs/msg/TwistWithCovarianceStamped",
     "pose_fix": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "odometry": "nav_msgs/msg/Odometry",
     **{kind: sensor.schema for kind, sensor in SENSORS.items()},
 }
+_DEFAULTS = Inputs()
 _LOWEST_IMU_RATE_HZ = 40.0
 _IMU_GAP_S = 0.1
 _LATEST_S = 6.0  # measurements later than this are too old for the default history
@@ -62,18 +65,24 @@ class _Topic:
             self.arrivals.append(message.arrived_ns)
 
 
-def log(path: Path, config: Config, progress: Callable[[float], None] | None = None) -> list[Check]:
-    """All checks of one log."""
+def log(
+    path: Path, config: Config, progress: Callable[[float], None] | None = None, *, live: Mapping[str, str] | None = None
+) -> list[Check]:
+    """All checks of one log; live: topics, with their types, that are published where it has just been recorded, at rest."""
     topics: dict[str, _Topic] = {}
     imu: dict[str, list[tuple[float, ...]]] = {}
     decoder, sources, alignment, watch = config.decoder(), config.fusion(), _Alignment(config), Watch(config.map.origin)
+    noise = Noise(Origin(*config.map.origin) if config.map.origin else None)
     try:
         with LogReader(path) as reader:
             for count, record in enumerate(reader):
                 topic = topics.setdefault(record.topic, _Topic(record.schema))
                 message = decoder.decode(record.topic, record.schema, record.data, record.log_time_ns)
                 if message is not None:
-                    topic.add(message, aid_of(message, sources))
+                    made = aid_of(message, sources)
+                    topic.add(message, made)
+                    if live is not None:
+                        noise.add(message, made)
                     watch.add(message)
                     alignment.step(message, record.log_time_ns)
                 if isinstance(message, ImuSample):
@@ -92,11 +101,12 @@ def log(path: Path, config: Config, progress: Callable[[float], None] | None = N
         + (f", {skipped} chunks damaged" if skipped else "")
     )
     checks = [judge("log", found, warn=torn or skipped > 0, advice="landfix recover BROKEN.mcap -o WHOLE.mcap")]
-    checks += _inputs(topics, config)
+    checks += _inputs({name: topic.schema for name, topic in topics.items()}, config, live)
     checks += _at_fault(watch)
     for name, topic in sorted(topics.items()):
         if topic.stamps or topic.bad:
             checks += _stream(name, topic)
+    checks += noise.checks(config)
     for name, rows in sorted(imu.items()):
         checks += _imu(name, np.array(rows), np.array(topics[name].stamps) * 1e-9, config.imu.axes)
     return [*checks, alignment.judged(kind)]
@@ -124,21 +134,25 @@ def _of_receiver(topic: str, used: set[str]) -> bool:
     return topic.endswith("/velocity") and topic.rpartition("/")[0] in used
 
 
-def _inputs(topics: dict[str, _Topic], config: Config) -> list[Check]:
+def _inputs(topics: Mapping[str, str], config: Config, live: Mapping[str, str] | None) -> list[Check]:
+    """topics: those that came, with their types."""
     checks = []
     used = {t for name in _SCHEMAS for t in getattr(config.inputs, name)}
     for name, schema in _SCHEMAS.items():
         wanted: tuple[str, ...] = getattr(config.inputs, name)
-        present = [t for t in wanted if t in topics]
-        of_type = [t for t, v in topics.items() if v.schema == schema and t != ATTITUDE_TOPIC]  # that has no position
+        absent = [t for t in wanted if t not in topics]
+        of_type = [t for t, other in {**topics, **(live or {})}.items() if other == schema and t != ATTITUDE_TOPIC]  # no position
         others = sorted(t for t in of_type if t not in used and not _of_receiver(t, used) and not t.startswith("/landfix/"))
-        found = ", ".join(present) if present else f"{', '.join(wanted)} not in this log" if wanted else "off"
-        advice = (
-            f'other topics of its type are here: set [inputs] {name} = "{others[0]}"' if others else f"no {schema} in this log"
-        )
-        missing = not present and (name == "imu" or bool(others))
-        checks.append(judge(f"inputs.{name}", found, fail=missing and name == "imu", warn=missing, advice=advice))
-    absolute = [t for name in ("gnss", "pose_fix") for t in getattr(config.inputs, name) if t in topics]
+        found = ", ".join([*(t for t in wanted if t in topics), *(f"{t} did not come" for t in absent)]) or "off"
+        advice = f"no {schema} came: is its driver running?"
+        if name == "odometry":  # may be an estimate that rests on GNSS, or the truth
+            others = []
+        if others:
+            advice = f'other topics of its type are here: set [inputs] {name} = "{others[0]}"'
+        nothing = len(absent) == len(wanted) and (name == "imu" or bool(others))
+        lacks = bool(absent) and live is not None and wanted != getattr(_DEFAULTS, name)
+        checks.append(judge(f"inputs.{name}", found, fail=nothing and name == "imu", warn=nothing or lacks, advice=advice))
+    absolute = [t for name in ("gnss", "pose_fix", "beacon") for t in getattr(config.inputs, name) if t in topics]
     absolute += [t for t in ("/landfix/fix",) if t in topics]
     advice = "IMU alone drifts within seconds: name a GNSS or pose topic in [inputs]"
     checks.append(judge("absolute source", ", ".join(absolute) or "none", fail=not absolute, advice=advice))
