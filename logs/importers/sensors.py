@@ -5,7 +5,7 @@ import numpy as np
 from logs.importers.recording import Stream, Times
 from logs.store.reader import LogError
 from models.frames import GRAVITY, Origin
-from models.messages import Array, ReceiverState, Vec3
+from models.messages import Array, Vec3
 
 GAUSS_T = 1e-4
 UERE_M = 3.0  # user equivalent range error: gives the 2.5 m CEP of consumer receivers at HDOP 1 (CEP = 1.18 UERE / sqrt 2)
@@ -13,7 +13,6 @@ VDOP_OVER_HDOP = 1.5  # typical, where a log has no VDOP
 _TRUTH_GAP_NS = 1_500_000_000  # a truth with larger gaps is not interpolated
 _SEA_LEVEL_KG_M3 = 1.225  # density of the standard atmosphere
 _NO_FIELD_GAUSS = 1e3  # Earth's is below 0.7
-_SUSPECTED, _DETECTED = 2, 3  # of jamming and spoofing
 _AXES_LEAN = 0.7  # of the mean specific force that must point up if the axes are right
 
 
@@ -55,14 +54,6 @@ def check_place(lla: Array, where: str) -> None:
     if usual > 360.0:
         unit = "1e-7 deg" if usual > 1e5 else "degrees and minutes"
         raise LogError(f"{where}: latitude or longitude {usual:.0f} is not degrees ({unit}?)")
-
-
-def receiver_state(jamming: Array, spoofing: Array) -> Array:
-    """Of PX4's and MAVLink's: 0 unknown, 1 none, 2 mitigated or suspected, 3 detected."""
-    disturbed = (jamming == _DETECTED) | (spoofing == _SUSPECTED)
-    return np.where(
-        spoofing == _DETECTED, ReceiverState.SPOOFED, np.where(disturbed, ReceiverState.JAMMED, ReceiverState.UNKNOWN)
-    )
 
 
 def navsat_status(fix_type: Array) -> Array:

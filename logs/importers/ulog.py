@@ -26,6 +26,7 @@ from logs.importers.quiet import silence
 from logs.importers.recording import DEFAULTS, EPOCH_NS, ImportOptions, Progress, Recording, Stream, Times
 from logs.importers.settings import Settings
 from logs.store.reader import LogError
+from logs.wire.receiver import receiver_state
 from models.messages import Array, Vec3
 
 Topic: TypeAlias = Mapping[str, Any]  # field -> column
@@ -258,7 +259,7 @@ def _gnss(source: Path, topic: Topic, clock_us: int, notes: list[str]) -> list[S
     speed_sigma = topic["s_variance_m_s"][moving].astype(np.float64)  # m/s, despite its name
     speed_variance = np.repeat(_squared(speed_sigma)[:, np.newaxis], 3, axis=1)
     unknown = np.zeros(len(t_ns))
-    flags = sensors.receiver_state(topic.get("jamming_state", unknown), topic.get("spoofing_state", unknown))
+    flags = receiver_state(topic.get("jamming_state", unknown), topic.get("spoofing_state", unknown))
     if flags.any():
         notes.append(f"the receiver reports jamming or spoofing in {np.count_nonzero(flags)} of {len(flags)} fixes")
     streams = [recording.gnss(t_ns, arrived_ns, lla, variance, status, flags=flags)]

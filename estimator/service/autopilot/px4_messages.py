@@ -8,9 +8,10 @@ from typing import Final
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from logs.importers.sensors import navsat_status, receiver_state
+from logs.importers.sensors import navsat_status
+from logs.wire.receiver import reported
 from models import so3
-from models.messages import Array, Estimate, GnssFix, GnssVelocity, ReceiverState, Vec3, vec3
+from models.messages import Array, Estimate, GnssFix, GnssVelocity, Vec3, vec3
 from models.state import E, X
 
 VEHICLE_ODOMETRY: Final = "px4_msgs/msg/VehicleOdometry"
@@ -179,11 +180,11 @@ def receiver(data: bytes, geoid_m: float, topic: str) -> tuple[GnssFix, GnssVelo
         data
     )
     t_ns, given = 1_000 * (sampled_us or now_us), height_m not in {0.0, sea_m}
-    status, state = navsat_status(np.array(fix_type)), receiver_state(np.array(jamming), np.array(spoofing))
+    status, state = navsat_status(np.array(fix_type)), reported(jamming, spoofing)
     covariance = np.diag([eph**2, eph**2, epv**2]) if eph > 0.0 and epv > 0.0 else None
     v_covariance = np.eye(3) * v_sigma**2 if v_sigma > 0.0 else None
     height = height_m if given else sea_m + geoid_m
-    fix = GnssFix(t_ns, t_ns, lat, lon, height, covariance, int(status), topic, ReceiverState(int(state)))
+    fix = GnssFix(t_ns, t_ns, lat, lon, height, covariance, int(status), topic, state)
     velocity = GnssVelocity(t_ns, t_ns, vec3(v_n), v_covariance, f"{topic}/velocity")
     return fix, velocity if valid and fix.is_on_earth else None
 

@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from estimator.service.autopilot.px4_messages import position_sigmas
 from logs.importers.sensors import highres_field, indicated_airspeed, navsat_status, variance_from_dop
-from logs.importers.sensors import receiver_state as reported
+from logs.wire.receiver import reported
 from models import so3
 from models.frames import GRAVITY
 from models.messages import (
@@ -120,7 +120,7 @@ def attitude(message: Any, t_ns: int, sigma_deg: tuple[float, float], topic: str
 
 def receiver_state(message: Any) -> ReceiverState:
     """Of GNSS_INTEGRITY."""
-    return ReceiverState(int(reported(np.array(message.jamming_state), np.array(message.spoofing_state))))
+    return reported(message.jamming_state, message.spoofing_state)
 
 
 def gnss_fix(message: Any, t_ns: int, geoid_m: float, topic: str, state: ReceiverState = ReceiverState.UNKNOWN) -> GnssFix:

@@ -16,6 +16,7 @@ from estimator.service.zenoh import keys
 from estimator.service.zenoh.config import ZenohConfig, first_sentence, session_config
 from logs.wire import schemas
 from logs.wire.codec import Encoded, type_hash
+from logs.wire.receiver import ReceiverFlags
 from models.messages import Output
 
 OUTPUTS: Final = {
@@ -110,6 +111,7 @@ class ZenohBus:
         self._config, self._clock, self._images = config, clock, frozenset(images)
         self._topics = list(inputs.items()) + [(i, s) for i in images for s in (schemas.COMPRESSED_IMAGE, schemas.IMAGE)]
         self._kept: list[Any] = []
+        self._flags = ReceiverFlags([topic for topic, schema in inputs.items() if schema == schemas.NAV_SAT_FIX])
         self.oversized = self.unsent = self.received = 0
         made = session_config(config, folder, self._keys(inputs, images), self._output_keys())
         try:
@@ -163,6 +165,10 @@ class ZenohBus:
                         self._config.domain, zid, self._config.node, subscriber.id.eid, topic, schema, type_hash(schema)
                     )
                     self._kept.append(live.declare_token(token))
+
+        for topic, schema in self._flags.topics.items():
+            hear = self._flag_receiver(topic)
+            self._kept += [self.session.declare_subscriber(key, hear) for key in self._subscribed(topic, schema)]
 
     def screen(self, topic: str, schema: str) -> ZenohScreen:
         """A screen for images on a topic."""
@@ -221,9 +227,18 @@ class ZenohBus:
                 self.oversized += 1
                 return
             self.received += 1
-            inbox.put_bytes(topic, schema, payload.to_bytes())
+            data = payload.to_bytes()
+            is_fix = schema == schemas.NAV_SAT_FIX
+            inbox.put_bytes(topic, schema, self._flags.marked(topic, data, self._clock.now_ns()) if is_fix else data)
 
         return receive
+
+    def _flag_receiver(self, topic: str) -> Callable[[zenoh.Sample], None]:
+        def hear(sample: zenoh.Sample) -> None:
+            if len(sample.payload) <= self._config.largest_kb * _KB:
+                self._flags.hear(topic, sample.payload.to_bytes(), self._clock.now_ns())
+
+        return hear
 
     def _subscribed(self, topic: str, schema: str) -> list[str]:
         """Images on a plain key are taken as compressed."""
@@ -231,7 +246,7 @@ class ZenohBus:
         return [keys.rmw_key(self._config.domain, topic, schema)] * self._config.rmw + [keys.plain_key(topic)] * plain
 
     def _keys(self, inputs: Mapping[str, str], images: Sequence[str]) -> list[str]:
-        topics = [*inputs, *images]
+        topics = [*inputs, *images, *self._flags.topics]
         px4 = f"{self._config.domain}/fmu/out/**"
         return [px4, *(f"{self._config.domain}/{t.strip('/')}/**" for t in topics), *(keys.plain_key(t) for t in topics)]
 
