@@ -52,7 +52,7 @@ class Smoothed:
 class Node:
     """One hypothesis at one instant, aids fused: x (16,), cov (15, 15); link None: a segment begins.
 
-    late_cov: (3, 3) of the position, by an unknown delay, not smoothed.
+    late_cov: (3, 3) of the position, by an unknown delay or a step of a receiver's speed, not smoothed.
     """
 
     t_ns: int
@@ -164,6 +164,8 @@ def _step(
         return {}
     members = tracker.core.hypotheses.members
     late = np.zeros((3, 3)) if tracker.late_cov is None else tracker.late_cov
+    if (stepped := tracker.step_covariance) is not None:
+        late = late + stepped[E.P, E.P]
     return {m: Node(t_ns, m.filter.x.copy(), m.filter.cov[: E.SIZE, : E.SIZE].copy(), links.get(m), late) for m in members}
 
 

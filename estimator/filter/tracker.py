@@ -26,7 +26,7 @@ from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.hypotheses import Hypotheses, Hypothesis
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.imu_evidence import FELT, ImuEvidence
-from estimator.filter.mismatch import BiasWalk, Delays, PathScale, Scatter, delay
+from estimator.filter.mismatch import BiasWalk, Delays, PathScale, Scatter, delay, speed_step
 from estimator.filter.relative import steps
 from estimator.filter.relinearise import Stretch
 from estimator.filter.variance_factor import NO_EXCESS
@@ -75,6 +75,7 @@ class Tracker:
         self.path_scale = PathScale()
         self.delays: Delays = {}
         self.late_cov: Array | None = None  # (3, 3) of the position, by a delay that the newest fix may have
+        self.speed_steps: speed_step.Steps = {}
         self.bias_walk = BiasWalk()
         self.scatter: dict[str, Scatter] = {}  # of sources of positions, and their velocities; never changed in place
 
@@ -124,9 +125,17 @@ class Tracker:
             cov[E.P, E.P] += core.conflicts.added(is_decided=core.is_aligned and contradicted < _MAJORITY)
         if self.late_cov is not None:
             cov[E.P, E.P] += self.late_cov
+        if (stepped := self.step_covariance) is not None:
+            cov += stepped
         if core.is_aligned and self.alignment.without_sensor is not None:
             return self.alignment.without_sensor.mixed(cov, bank.lead.x)
         return cov
+
+    @property
+    def step_covariance(self) -> Array | None:
+        """(15, 15), by the steps of receivers' speeds that are followed against the IMU."""
+        found = [c for c in (step.covariance for step in self.speed_steps.values()) if c is not None]
+        return sum(found[1:], start=found[0]) if found else None
 
     @property
     def is_sound(self) -> bool:
@@ -138,7 +147,7 @@ class Tracker:
         """The covariance shown is the mixture of the hypotheses."""
         core, factor = self.core, self.core.variance_factor
         is_plain = core.is_aligned and not core.conflicts.apart and self.alignment.without_sensor is None
-        return is_plain and not factor.lasting > factor.value
+        return is_plain and not factor.lasting > factor.value and not any(step.followed for step in self.speed_steps.values())
 
     @property
     def limits(self) -> tuple[float, float, float, float]:
@@ -192,6 +201,7 @@ class Tracker:
             *remarks.variance(core.variance_factor.lasting),
             *remarks.held(self.held_ns, core.t_ns),
             *remarks.scatter(self.scatter, core.t_ns),
+            *speed_step.remarks(self.speed_steps),
             *remarks.imu(core.hypotheses if core.is_aligned else None),
         ]
 
@@ -305,6 +315,7 @@ class Tracker:
             hypotheses, switches = core.hypotheses, core.hypotheses.switches
             aid = delay.carried(aid, z, core.last_sample(samples), self.delays, hypotheses.members, alone=alone)
             decision, state = self._judge(aid, z, gyro_b, state, alone=alone)
+            self._note_speed(aid, z, gyro_b, samples, fused=decision.reason is Reason.FUSED)
             if decision.reason is Reason.GATED:
                 self._forget_estimated(aid, z)
             if core.hypotheses is not hypotheses or hypotheses.switches != switches:
@@ -410,6 +421,18 @@ class Tracker:
         detail = aid.detail if reason is not Reason.GATED else "; ".join(filter(None, (aid.detail, self._conflict())))
         position = position_innovation(z, verdict.seen.nu, verdict.seen.s) if aid.absolute else None
         return Decision(reason, tuple(verdict.seen.nu.tolist()), tuple(sigma.tolist()), ratio, detail, position), state
+
+    def _note_speed(self, aid: Aid, z: Measurement, gyro_b: Array, samples: ImuBuffer, *, fused: bool) -> None:
+        bank = self.core.hypotheses
+        if bank is None:
+            self.speed_steps = {}
+        elif aid.receiver and isinstance(z, Velocity):
+            scatter = self.scatter[aid.topic].factor
+            self.speed_steps = speed_step.noted(
+                self.speed_steps, aid, z, gyro_b, bank.members[0], samples, fused=fused, scatter=scatter
+            )
+        elif fused and aid.absolute:
+            self.speed_steps = speed_step.positioned(self.speed_steps, aid)
 
     def _forget_estimated(self, aid: Aid, z: Measurement) -> None:
         core = self.core
