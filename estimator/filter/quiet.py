@@ -17,14 +17,16 @@ from models import imu, sampling
 from models.messages import Array, ImuSample
 from models.state import E, X, sound
 
-_N, _XN = E.SIZE, X.SIZE  # compiled code reads plain integers
+_N, _XN, _P = E.SIZE, X.SIZE, E.P.start  # compiled code reads plain integers
+_NO_DELAY = np.zeros((3, 3))
 
 
 class Quiet:
     """A publishing tracker at the newest sample, nothing to process for `left` samples and until_ns."""
 
     __slots__ = (
-        "_is_plain", "_late", "_lead", "_limits", "_others", "_root", "_share", "left", "mode", "samples", "tracker", "until_ns",
+        "_is_plain", "_late", "_later", "_lead", "_limits", "_others", "_root", "_share", "left", "mode", "samples", "tracker",
+        "until_ns",
     )  # fmt: skip
 
     def __init__(self, tracker: Tracker, samples: ImuBuffer, left: int) -> None:
@@ -37,7 +39,10 @@ class Quiet:
         weights += [0.0] * (len(members) - len(bank.members))  # of those without the sensor of the heading
         self._others = [(member.filter, share) for member, share in zip(members[1:], weights, strict=True)]
         self._root = math.sqrt(self._lead.variance_factor)
-        self._limits, self._is_plain, self._late = tracker.limits, tracker.shows_mixture, tracker.late_cov
+        self._limits, self._is_plain, late = tracker.limits, tracker.shows_mixture, tracker.late_cov
+        ends = self._is_plain and not self._others and self._root == 1.0  # the covariance, in the compiled call
+        self._late = late if ends and late is not None else _NO_DELAY
+        self._later = None if ends or not self._is_plain else late
 
     def take(self, sample: ImuSample) -> tuple[Array, Array] | None:
         """Append the sample and propagate: nav (16,) and covariance (15, 15) to publish; None: out of bounds."""
@@ -46,14 +51,14 @@ class Quiet:
         buffer, read = (samples.t_ns, samples.u, samples.known), (*sample.gyro_b, *sample.accel_b)
         is_good = _take(
             lead.x, lead.cov, *buffer, index, lead.t_ns, t_ns, *read, lead.constants, slow.tau_s, slow.psd, *self._limits,
-            self._share, 0.0, nav, covariance,
+            self._share, 0.0, self._late, nav, covariance,
         )  # fmt: skip
         lead.t_ns = self.tracker.core.t_ns = t_ns
         for eskf, share in self._others:
             slow = eskf.slow
             eskf.sound = _take(
                 eskf.x, eskf.cov, *buffer, index, eskf.t_ns, t_ns, *read, eskf.constants, slow.tau_s, slow.psd, *self._limits,
-                share, self._root, nav, covariance,
+                share, self._root, _NO_DELAY, nav, covariance,
             )  # fmt: skip
             eskf.t_ns = t_ns
         samples.end_next(t_ns)
@@ -65,8 +70,8 @@ class Quiet:
             covariance = scaled(covariance, lead.variance_factor)
         if not self._is_plain:
             covariance = self.tracker.shown_covariance(covariance)
-        elif self._late is not None:
-            covariance[E.P, E.P] += self._late
+        elif self._later is not None:
+            covariance[E.P, E.P] += self._later
         return nav, covariance
 
 
@@ -74,11 +79,13 @@ class Quiet:
 def _take(
     x: Array, cov: Array, t_ns: NDArray[np.int64], u: Array, known: Array, i: int, from_ns: int, to_ns: int,
     wx: float, wy: float, wz: float, fx: float, fy: float, fz: float, c: Array, tau: Array, psd: Array,
-    fastest: float, least_down: float, most_down: float, sigma: float, share: float, root: float, nav: Array, covariance: Array,
+    fastest: float, least_down: float, most_down: float, sigma: float, share: float, root: float, late: Array, nav: Array,
+    covariance: Array,
 ) -> bool:  # fmt: skip
     """x, P (n, n) of a hypothesis to sample i (w, f) at to_ns; whether the state is sound.
 
-    root: 0 of the leading one, which comes first: it puts the sample into the buffer, nav <- x, covariance <- share P of the 15.
+    root: 0 of the leading one, which comes first: it puts the sample into the buffer, nav <- x, covariance <- share P of the 15,
+    late (3, 3) added to the position's.
     False: or it may be out of bounds. Of another one f^1/2: its share of the covariance is added (mixture.mix). The rest as
     imu.propagate and bounds.is_within.
     """
@@ -95,4 +102,7 @@ def _take(
     for k in range(_N):
         for j in range(_N):
             covariance[k, j] = share * cov[k, j]
+    for k in range(3):
+        for j in range(3):
+            covariance[_P + k, _P + j] += late[k, j]
     return good and is_within(x, cov, fastest, least_down, most_down, sigma)

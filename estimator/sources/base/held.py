@@ -46,7 +46,7 @@ def moves(x: Array, cov: Array) -> bool:
 class HeldImu:
     """Held values of an IMU: a sensor for 0.1 s, an axis for 0.5 s, that varied before."""
 
-    __slots__ = ("_alive", "_count", "_last", "_newest_ns", "_since_ns", "says")
+    __slots__ = ("_alive", "_count", "_last", "_newest_ns", "_since_ns", "_varied_ns", "says")
 
     def __init__(self) -> None:
         self.says = ""  # of the newest sample
@@ -54,6 +54,7 @@ class HeldImu:
         self._since_ns, self._count = [0] * len(_NAMES), [0] * len(_NAMES)
         self._alive = [False] * len(_NAMES)
         self._newest_ns = -(2**62)
+        self._varied_ns: int | None = None  # all axes did, in the sample before
 
     def note(self, sample: ImuSample) -> str:
         """Which values of the next sample are held, or ""."""
@@ -61,19 +62,21 @@ class HeldImu:
         if sample.t_ns <= self._newest_ns:
             return ""
         self._newest_ns = sample.t_ns
-        if not self._last:
-            self._last, self._since_ns = u, [sample.t_ns] * len(u)
+        last, self._last = self._last, u
+        if not last:
+            self._since_ns = [sample.t_ns] * len(u)
             return ""
-        if not any(map(eq, self._last, u)):  # nearly every call
-            n, self._last, self.says = len(u), u, ""
-            self._since_ns, self._count, self._alive = [sample.t_ns] * n, [0] * n, [True] * n
+        if not any(map(eq, last, u)):  # nearly every call
+            self._varied_ns, self.says = sample.t_ns, ""
             return ""
-        for axis, (before, now) in enumerate(zip(self._last, u, strict=True)):
+        if self._varied_ns is not None:
+            n = len(u)
+            self._since_ns, self._count, self._alive, self._varied_ns = [self._varied_ns] * n, [0] * n, [True] * n, None
+        for axis, (before, now) in enumerate(zip(last, u, strict=True)):
             if before == now:
                 self._count[axis] += 1
             else:
                 self._since_ns[axis], self._count[axis], self._alive[axis] = sample.t_ns, 0, True
-        self._last = u
         self.says = self._judge(sample)
         return self.says
 
