@@ -19,6 +19,7 @@ from estimator.sources.base.aid import Aid
 from models.messages import AttitudePrior, GnssFix, GnssVelocity, ImuSample, Input, Mode, PoseFix, Reason
 from models.sim.scenario import EPOCH_NS
 from models.state import E, X
+from tests import long
 from tests.estimator.scenes import SECOND, Run, displaced, hover, pose_fix, same
 
 CONFIG = FusionConfig()
@@ -74,7 +75,7 @@ def test_a_burst_of_late_fixes_and_one_later_still() -> None:
     assert not rest.run.internal_errors()
 
 
-@pytest.mark.parametrize("gnss_hz", [5.0, 20.0])
+@long.parametrize("gnss_hz", [20.0, 5.0])
 def test_a_fix_source_that_falls_behind(gnss_hz: float) -> None:
     """Its delay grows until its fixes are too old."""
     rest = Rest(gnss_hz).flown(8.0)

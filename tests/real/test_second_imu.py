@@ -36,11 +36,13 @@ def _seconds(message: Input | Estimate, first: Input) -> float:
     return (message.t_ns - first.t_ns) * 1e-9
 
 
+@pytest.mark.long
 def test_given_three_imus_that_vibrate_then_none_is_taken_for_wrong(whole: Run) -> None:
     assert [s for s in whole.statuses if s.kind == "imu"] == []
     assert {whole.health[-1].sources[t] for t in ("/imu2", "/imu3")} == {"standby"}
 
 
+@pytest.mark.long
 def test_given_the_first_falls_silent_in_the_dark_then_the_second_goes_on_from_there(
     flight: tuple[str, list[Input]], whole: Run
 ) -> None:

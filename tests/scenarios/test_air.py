@@ -89,6 +89,7 @@ def _true_wind(simulation: Simulation, config: FusionConfig) -> None:
     assert np.linalg.norm(drag_n.mean(axis=0)) > 0.3
 
 
+@pytest.mark.long
 def test_given_drag_then_a_dark_stretch_costs_less_and_the_wind_is_known(copter: Simulation) -> None:
     config = _config(copter)
     _true_wind(copter, config)
@@ -151,6 +152,7 @@ def _refused(run: Run) -> list[AidStatus]:
     return [s for s in run.statuses if s.topic == "/airspeed" and s.reason in wrong]
 
 
+@pytest.mark.long
 def test_late_airspeed_and_late_gnss_make_the_same_estimate_as_punctual_ones(plane: Simulation) -> None:
     until_ns = EPOCH_NS + 45_000_000_000
     messages = [m for m in plane.messages if m.t_ns < until_ns]

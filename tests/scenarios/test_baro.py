@@ -80,6 +80,7 @@ def test_given_an_outage_of_a_minute_then_the_height_is_kept(flight: Simulation)
     assert sigmas < 4.0
 
 
+@pytest.mark.long
 def test_given_readings_ten_times_a_second_then_one_of_them_is_news(flight: Simulation) -> None:
     run = fly(flight, config_of(flight), by_arrival([*flight.messages, *_barometer(flight)]))
     reasons = run.reasons("/baro")

@@ -51,6 +51,7 @@ def test_given_a_velocity_in_the_body_then_a_dark_stretch_costs_less(journey: Ri
     assert _nees(run, journey) < 2.0
 
 
+@pytest.mark.long
 def test_given_wheels_then_what_they_do_not_measure_is_zero_only_where_the_configuration_reports_it(journey: Ride) -> None:
     forward = velocity_body(journey.truth, wheels=True)
     run = _run(journey, forward[:100])

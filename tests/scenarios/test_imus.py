@@ -122,6 +122,7 @@ def test_given_one_of_two_fails_in_the_dark_then_the_other_takes_over(journey: R
     _check(_run(messages, _config("/imu", "/imu2")), journey, FAULTS[name].says)
 
 
+@pytest.mark.long
 def test_given_the_first_comes_back_then_it_stands_by_and_takes_over_when_the_second_fails(journey: Ride) -> None:
     """The first is silent from 40 to 44 s, the second from 53 s on."""
     messages = _lit([*journey.messages, *_other(journey, "/imu2", 1)])
@@ -173,6 +174,7 @@ def test_given_two_contradict_each_other_then_positions_decide(journey: Ride, wr
     assert np.linalg.norm(error(later[-1], journey.truth)[E.P]) < 2.5
 
 
+@pytest.mark.long
 def test_given_another_imu_with_a_noise_of_its_own_then_the_covariance_grows_by_that(journey: Ride) -> None:
     """Fifty times the noise of the first: the velocity in the dark is known worse once the second leads."""
     messages = FAULTS["stuck"].of(_lit([*journey.messages, *_other(journey, "/imu2", 1)]))
@@ -187,6 +189,7 @@ def test_given_another_imu_with_a_noise_of_its_own_then_the_covariance_grows_by_
     assert ends[1][1] > 2.0 * ends[0][1]
 
 
+@pytest.mark.long
 def test_given_two_sound_imus_then_the_estimate_is_that_of_the_first(journey: Ride) -> None:
     both = _run([*journey.messages, *_other(journey, "/imu2", 1)], _config("/imu", "/imu2"))
     alone = _run(journey.messages, _config("/imu"))

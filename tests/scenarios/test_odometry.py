@@ -112,6 +112,7 @@ def test_a_jump_is_seen_and_left_out(simulation: Simulation) -> None:
     assert _ratio(run, simulation, LOST_S, END_S) < 5.4
 
 
+@pytest.mark.long
 def test_a_wrong_scale_is_estimated_while_positions_show_it(simulation: Simulation) -> None:
     run = _with(simulation, increments(simulation, 10.0, END_S, scale=lambda _: 1.1))
     assert position_errors(within(run.estimates, LOST_S, END_S), simulation.truth).max() < 4.0

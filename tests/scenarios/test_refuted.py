@@ -58,6 +58,7 @@ def test_given_beacons_that_go_wrong_together_then_the_dark_is_bridged_by_the_im
     assert {s.reason for s in dark} <= {Reason.STOPPED, Reason.GATED, Reason.THINNED}
 
 
+@pytest.mark.long
 def test_given_beacons_that_were_wrong_for_a_moment_then_they_are_used_in_the_dark(journey: Ride) -> None:
     t = journey.truth
     ranges = measure_ranges(BEACONS, t.t_ns, EPOCH_NS, t.p_n, t.R_nb, np.random.default_rng(51))

@@ -93,5 +93,6 @@ def test_given_a_straight_cruise_that_feels_like_rest_then_it_is_not_stopped(is_
     assert nees < 2.5
 
 
+@pytest.mark.long
 def test_switched_off_nothing_is_asked(journey: Ride) -> None:
     assert not Run(Fusion(OFF)).feed(journey.messages[:1000]).reasons("rest")

@@ -121,6 +121,7 @@ def test_the_estimate_goes_on_while_the_imu_is_silent() -> None:
     assert {e.mode for e in within(run.estimates, 73.2, 80.0)} == {Mode.AIDED}
 
 
+@pytest.mark.long
 def test_spoofed_gnss_never_wins_beside_landmarks() -> None:
     simulation, run = flown = _flown("spoof", ALL["spoof"])
     # GIVEN a slow pull, a jump behind a jammer, and a repeater, and landmark fixes of which one in twenty is false

@@ -131,6 +131,7 @@ def test_what_the_vehicle_is_reported(log: Path) -> None:
     assert 0.3 < np.std(off) < 0.5  # sigma_m = 0.4
 
 
+@pytest.mark.long
 def test_equal_seeds_give_equal_logs_and_raw_pixels_on_request(log: Path, tmp_path: Path) -> None:
     assert fly(tmp_path).read_bytes() == log.read_bytes()
     with LogReader(log) as reader:

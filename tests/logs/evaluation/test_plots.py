@@ -126,6 +126,7 @@ def test_nothing_is_drawn_over_a_hole() -> None:
     np.testing.assert_array_equal(y, [0.0, 1.0, 2.0, np.nan, 3.0, 4.0])
 
 
+@pytest.mark.long
 def test_a_real_flight_with_visual_poses_as_the_estimate(landfix_data: Path, tmp_path: Path) -> None:
     """GIVEN EuRoC's visual poses, THEN every figure is drawn, and the errors are those its README has (0.06 m)."""
     flight_log.write_vision(tmp_path / "vision.mcap", landfix_data / "flights" / "euroc" / "V1_02_medium")

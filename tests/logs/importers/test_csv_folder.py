@@ -16,6 +16,7 @@ from logs.importers.recording import EPOCH_NS, ImportOptions, Message, Truth
 from logs.store.reader import LogError
 from models.frames import Origin
 from models.messages import Array, GnssFix, GnssVelocity, ImuSample, OdometryPose, PoseFix, Reading
+from tests import long
 
 M = TypeVar("M", bound=Message)
 
@@ -60,7 +61,7 @@ class Flight:
         self.gps_file = columns(folder / "gps.csv") if has(folder, "gps") else None
 
 
-@pytest.fixture(scope="module", params=SETS)
+@pytest.fixture(scope="module", params=long.some(SETS, one_in=4))
 def flights(request: pytest.FixtureRequest, landfix_data: Path) -> list[Flight]:
     folder = landfix_data / "flights" / request.param
     found = sorted(p.parent for p in folder.rglob("imu.csv*"))

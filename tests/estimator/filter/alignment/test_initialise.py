@@ -29,6 +29,7 @@ from models.measurements import Pose, Position
 from models.messages import Array, GnssFix, GnssVelocity, ImuSample, Input, Mode, PoseFix, Reason, vec3
 from models.sim.scenario import EPOCH_NS, Simulation
 from models.state import E, X
+from tests import long
 from tests.estimator.scenes import SECOND, Run, by_arrival, error, fly, hover, pose_fix, simulated
 
 CONFIG = InitialiseConfig()
@@ -154,7 +155,7 @@ def _flight(kind: str, seed: int, duration_s: float = 40.0) -> Simulation:
     return simulated(f'duration_s = {duration_s}\n[vehicle]\nkind = "{kind}"\n{imu}[gnss]\nrate_hz = 5.0\n', seed)
 
 
-@pytest.mark.parametrize(("kind", "seed"), [("multirotor", 0), ("multirotor", 3), ("fixed_wing", 1), ("fixed_wing", 4)])
+@long.parametrize(("kind", "seed"), [("multirotor", 0), ("multirotor", 3), ("fixed_wing", 1), ("fixed_wing", 4)], one_in=2)
 def test_heading_shows_in_motion_whichever_way_the_nose_points(kind: str, seed: int) -> None:
     simulation = _flight(kind, seed)
     run = fly(simulation)

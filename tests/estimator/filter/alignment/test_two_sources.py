@@ -1,10 +1,10 @@
 """Alignment where GNSS and the first rare fix disagree: it ends whichever is false, and the covariance covers both."""
 
-import pytest
 from msgspec.structs import replace
 
 from models.messages import GnssFix, Input, Mode, PoseFix
 from models.sim.scenario import EPOCH_NS
+from tests import long
 from tests.estimator.scenes import SECOND, fly, position_errors, radii, simulated
 
 SLOW = """
@@ -27,7 +27,7 @@ sigma_deg = [1.0, 1.0, 1.0]
 FIRST_FIX_NS = EPOCH_NS + 19 * SECOND
 
 
-@pytest.mark.parametrize(("false", "off_m"), [("GNSS", 200.0), ("GNSS", 5000.0), ("the first fix", 200.0)])
+@long.parametrize(("false", "off_m"), [("GNSS", 200.0), ("GNSS", 5000.0), ("the first fix", 200.0)])
 def test_the_alignment_ends_and_the_covariance_covers_what_is_false(false: str, off_m: float) -> None:
     # GIVEN a vehicle too slow to show its heading, GNSS, and fixes each 5 s from 19 s on, one of the two far off
     flight, messages, first = simulated(SLOW, seed=3), list[Input](), True

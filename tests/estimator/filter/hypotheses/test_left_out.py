@@ -17,6 +17,7 @@ from models.measurements import Measurement
 from models.messages import GnssFix, GnssVelocity, Input, PoseFix, Reason, Vec3, vec3
 from models.sim.scenario import EPOCH_NS, Simulation
 from models.state import E, X
+from tests import long
 from tests.estimator.scenes import SECOND, aid_of, config_of, fly, pose_fix, position_errors, radii, simulated
 
 ORIGIN = Origin(47.0, 8.0, 500.0)
@@ -201,6 +202,7 @@ def test_a_gnss_that_is_wrong_from_boot_is_left_and_meanwhile_the_covariance_cov
     assert any(re.match(r"/pose_fix and /gnss disagree by 199\.\d m for \d+ s: ", text) for text in said)
 
 
+@pytest.mark.long
 def test_a_gnss_that_is_wrong_from_boot_and_has_led_for_a_minute_is_left_for_fixes_each_four_seconds() -> None:
     flight = simulated(BOOT, seed=3)
     messages: list[Input] = []
@@ -235,7 +237,7 @@ def _pulled(flight: Simulation, m_s: float) -> list[Input]:
     return found
 
 
-@pytest.mark.parametrize("m_s", [0.5, 2.0])
+@long.parametrize("m_s", [0.5, 2.0])
 def test_a_gnss_that_is_pulled_off_is_left_by_fixes_each_four_seconds_and_fused_again_when_it_is_right(m_s: float) -> None:
     flight = simulated(BOOT, seed=3)
     run = fly(flight, messages=_pulled(flight, m_s))
@@ -249,7 +251,7 @@ def test_a_gnss_that_is_pulled_off_is_left_by_fixes_each_four_seconds_and_fused_
     assert [s.reason for s in last] == [Reason.FUSED] * 10
 
 
-@pytest.mark.parametrize("m_s", [1.0, 3.0])
+@long.parametrize("m_s", [1.0, 3.0])
 def test_a_pull_that_begins_at_once_is_covered_until_the_next_fix(m_s: float) -> None:
     """The step of the velocity shows it, ten seconds and more before a fix does."""
     flight = simulated(BOOT, seed=3)
@@ -271,7 +273,7 @@ def test_a_gnss_that_was_left_and_is_right_again_is_fused_although_no_fix_comes_
     assert position_errors(run.estimates[-1:], flight.truth)[0] < 3.0
 
 
-@pytest.mark.parametrize("unit", [100.0, 3.28])
+@long.parametrize("unit", [100.0, 3.28])
 def test_fixes_in_a_wrong_unit_do_not_lead_beside_gnss(unit: float) -> None:
     flight = simulated(BOOT, seed=3)
     messages: list[Input] = []

@@ -8,6 +8,7 @@ import pytest
 from models.messages import Estimate, GnssFix, Input, PoseFix, Reason
 from models.sim.scenario import EPOCH_NS, Simulation
 from models.state import E, local
+from tests import long
 from tests.estimator.scenes import Run, by_arrival, displaced, fly, simulated
 
 FLIGHT = """
@@ -46,7 +47,7 @@ def _hostile(like: GnssFix | PoseFix, rng: np.random.Generator) -> Input:
     return GnssFix(t_ns, late_ns, like.lat_deg + north, like.lon_deg + east, like.alt_m - down, like.covariance_n)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@long.parametrize("seed", range(3))
 @pytest.mark.parametrize("kind", [GnssFix, PoseFix])
 def test_it_moves_nothing(kind: type[GnssFix | PoseFix], seed: int) -> None:
     simulation, without = _flight()

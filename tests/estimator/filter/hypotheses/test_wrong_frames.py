@@ -11,6 +11,7 @@ from estimator.filter.contradiction import SAYS
 from models import so3
 from models.messages import Array, PoseFix, vec3
 from models.state import E
+from tests import long
 from tests.estimator.scenes import Run, fly, position_errors, simulated
 
 ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -29,7 +30,7 @@ def _positions(m: PoseFix) -> PoseFix:
     return replace(m, p_n=vec3(ENU @ m.p_n))
 
 
-@pytest.fixture(scope="module", params=[_all, _positions], ids=["pose", "position"])
+@pytest.fixture(scope="module", params=long.some([_all, _positions]), ids=["pose", "position"])
 def flown(request: pytest.FixtureRequest) -> Flown:
     """The frame's error, the flight with it, and errors of its estimates [m]."""
     simulation = simulated(FLIGHT, seed=3)
