@@ -248,6 +248,14 @@ def _links(d: Mapping[str, str]) -> Iterator[tuple[str, str, bool]]:
         heard_s, sent = d["mavlink heard_s"], f"sent {d['mavlink odometry']} odometry, {d['mavlink fixes']} fixes"
         heard = "no heartbeat yet" if heard_s == "never" else f"{d['mavlink autopilot']} heard {heard_s} s ago"
         yield "mavlink", f"{state}   {heard}, {sent}", state == "open" and heard_s != "never"
+        if ekf := ekf_line(d):
+            yield "its EKF", ekf, "not fused" not in ekf
+
+
+def ekf_line(d: Mapping[str, str]) -> str:
+    """What the autopilot's EKF fuses, as the daemon's status has it; "" where it has not said."""
+    fuses, source_set = d.get("mavlink ekf_fuses", ""), d.get("mavlink ekf_source_set", "")
+    return "   ".join(filter(None, (f"fuses {fuses}" if fuses else "", f"source set {source_set}" if source_set else "")))
 
 
 def _age(given: str | None) -> Text:

@@ -13,7 +13,7 @@ from estimator.service.autopilot.local_frame import LocalOrigin
 from estimator.service.autopilot.output_policy import OutputPolicy, is_sound, newest
 from estimator.service.base.clock import SECOND_NS, Clock
 from estimator.service.base.ports import Inbox
-from estimator.service.mavlink import codec
+from estimator.service.mavlink import codec, ekf_sources
 from estimator.service.mavlink.config import MavlinkConfig, address_of, signing_key
 from estimator.service.mavlink.inputs import Inputs
 from estimator.service.mavlink.io import opened
@@ -46,6 +46,7 @@ _OF_THE_LINK: Final = frozenset(
         mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
         mavlink.MAVLINK_MSG_ID_COMMAND_ACK,
         mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
+        *ekf_sources.WANTED,
     }
 )
 
@@ -77,7 +78,7 @@ class MavlinkLink:
             Wire(config.system, config.component, heard, wanted, key, clock.now_ns()) for _ in ("what it parses", "what it packs")
         )
         self._pace, self._fix_waits = Pace(odometry_hz), False
-        self._boot, self._local = AutopilotClock(), LocalOrigin()
+        self._boot, self._local, self._ekf = AutopilotClock(), LocalOrigin(), ekf_sources.EkfSources()
         self._map_origin: tuple[float, float, float] | None = None
         self._quality: int | None = None  # of the last odometry
         self._alerted: Alert | None = None  # as the last STATUSTEXT said
@@ -143,6 +144,7 @@ class MavlinkLink:
             "reboots": self._boot.reboots,
             "implausible_stamps": self._boot.implausible + self.implausible_companions,
             **self._inputs.report(),
+            **self._ekf.report(),
             "ekf_origin": self._local.report(self._map_origin, self._geoid_m, from_ours=self._autopilot == codec.PX4),
             "odometry": self.sent_odometry,
             "quality": "none sent" if self._quality is None else self._quality,
@@ -279,6 +281,8 @@ class MavlinkLink:
             self.commands_refused += refused
             if refused:
                 self._inputs.deny()
+        elif message.get_msgId() in ekf_sources.WANTED:
+            self._ekf.hear(message)
         elif kind == "GNSS_INTEGRITY":
             self._inputs.note_integrity(message, now_ns)
         else:
@@ -302,6 +306,7 @@ class MavlinkLink:
     def _ask_again(self) -> None:
         self._inputs.ask_again()
         self._local.forget()
+        self._ekf = ekf_sources.EkfSources()
         self._since_ns = self._clock.now_ns()
 
     def _hear_heartbeat(self, message: Any, now_ns: int) -> None:

@@ -11,6 +11,7 @@ from msgspec.structs import replace
 
 from estimator.config import Config, Rig
 from estimator.service.base.status import TOPIC
+from estimator.service.monitor import ekf_line
 from estimator.service.run import assembled
 from estimator.service.zenoh.bus import BusError
 from estimator.strict_toml import ConfigError
@@ -32,6 +33,7 @@ class _Listener:
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self._say, self.topics = say, dict[str, str]()
+        self.status: dict[str, str] = {}  # of the daemon, the newest
 
     def published(self, topic: str, schema: str) -> None:
         self.topics[topic] = schema
@@ -40,8 +42,9 @@ class _Listener:
         for message in encoded:
             if message.topic == TOPIC:
                 report: Any = STORE.deserialize_cdr(message.data, schemas.DIAGNOSTICS)
-                pairs = [(p.key.removeprefix(_RATE), p.value) for p in report.status[0].values if p.key.startswith(_RATE)]
-                heard = ", ".join(f"{one_line(topic)} {float(rate):.0f} Hz" for topic, rate in pairs if topic != TICK_TOPIC)
+                self.status = {one_line(pair.key): one_line(pair.value) for pair in report.status[0].values}
+                rates = {key.removeprefix(_RATE): rate for key, rate in self.status.items() if key.startswith(_RATE)}
+                heard = ", ".join(f"{topic} {float(rate):.0f} Hz" for topic, rate in rates.items() if topic != TICK_TOPIC)
                 self._say(heard or "nothing comes")
 
     def close(self) -> None:
@@ -64,6 +67,9 @@ def live(config: Config, folder: Path, seconds: float, say: Callable[[str], None
         except (BusError, ConfigError) as error:
             return [judge("live", str(error), fail=True, advice=_BUSY)]
         checks = [check for file in sorted(Path(kept).glob("*.mcap")) for check in log(file, config, live=listener.topics)]
+    if ekf := ekf_line(listener.status):
+        advice = "its parameters ask for a source that it does not fuse: see docs/mavlink.md"
+        checks.append(judge("autopilot's EKF", ekf, warn="not fused" in ekf, advice=advice))
     return [check for check in checks if check.found != "off" and not check.name.startswith(_NOT_SENSORS)]
 
 
