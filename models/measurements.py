@@ -340,21 +340,18 @@ def _pose(x: Array, z: Array, q: Array) -> tuple[Array, Array]:
     return nu, h
 
 
-@njit(cache=True, error_model="numpy")
 def _pose_yaw(x: Array, z: Array, q: Array) -> tuple[Array, Array]:
     """Yaw alone: nu = wrap(psi_z - psi), psi = atan2(R10, R00), as rz; H from R's first column."""
     nu, h = _pose(x, z, q)
     r, m = so3.matrix(x[_XQ:_XG]), so3.matrix(q)
-    difference = np.arctan2(m[1, 0], m[0, 0]) - np.arctan2(r[1, 0], r[0, 0])
-    nu[5] = np.arctan2(np.sin(difference), np.cos(difference))
-    level = r[0, 0] ** 2 + r[1, 0] ** 2
+    difference = math.atan2(m[1, 0], m[0, 0]) - math.atan2(r[1, 0], r[0, 0])
+    nu[5] = math.atan2(math.sin(difference), math.cos(difference))
+    level = max(r[0, 0] ** 2 + r[1, 0] ** 2, _TINY)
     north, east = -r[2, 0] * r[0, 0] / level, -r[2, 0] * r[1, 0] / level
-    for k in range(3):
-        h[5, _T + k] = north * r[0, k] + east * r[1, k] + r[2, k]
+    h[5, E.THETA] = north * r[0] + east * r[1] + r[2]
     return nu, h
 
 
-@njit(cache=True, error_model="numpy")
 def _pose_tilt(x: Array, z: Array, q: Array) -> tuple[Array, Array]:
     """Roll and pitch alone: d = R R_z^T e_z; nu = (d_y, -d_x).
 
@@ -364,9 +361,8 @@ def _pose_tilt(x: Array, z: Array, q: Array) -> tuple[Array, Array]:
     r, m = so3.matrix(x[_XQ:_XG]), so3.matrix(q)
     down = so3.applied(r, m[2])
     nu[3], nu[4] = down[1], -down[0]
-    for k in range(3):
-        h[3, _T + k] = down[2] * r[0, k] - down[0] * r[2, k]
-        h[4, _T + k] = down[2] * r[1, k] - down[1] * r[2, k]
+    h[3, E.THETA] = down[2] * r[0] - down[0] * r[2]
+    h[4, E.THETA] = down[2] * r[1] - down[1] * r[2]
     return nu, h
 
 

@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from models.messages import Array
 
@@ -72,8 +71,9 @@ def protection_levels(modes: Array, probabilities: Array, tail: Tail) -> tuple[l
 
     modes (n, 5): rows p, horizontal b and sigma, vertical b and sigma. At most .002 above the exact solution, never below.
     """
-    h, v = _solutions(modes, probabilities, *tail).tolist()
-    return h, v
+    rows, at = modes.tolist(), probabilities.tolist()
+    h, v = [(p, b, sigma) for p, b, sigma, _, _ in rows], [(p, b, sigma) for p, _, _, b, sigma in rows]
+    return [_solution(h, allowed, tail, in_plane) for allowed in at], [_solution(v, allowed, tail, one_axis) for allowed in at]
 
 
 def protection_level(modes: Sequence[Mode], probability: float, tail: Tail, exceeds: Callable[[float], float]) -> float:
@@ -83,65 +83,43 @@ def protection_level(modes: Sequence[Mode], probability: float, tail: Tail, exce
     return (h if exceeds is in_plane else v)[0]
 
 
-@njit(cache=True, error_model="numpy")
-def _solutions(modes: Array, allowed: Array, core_scale: float, tail_scale: float, tail_share: float) -> Array:
-    """(2, m), by regula falsi on the logarithm (Illinois rule; Dowell and Jarratt 1971).
+def _solution(
+    modes: Sequence[tuple[float, float, float]], allowed: float, tail: Tail, exceeds: Callable[[float], float]
+) -> float:
+    """PL [m] of modes (p, b, sigma), by regula falsi on the logarithm (Illinois rule; Dowell and Jarratt 1971).
 
     Upper end from Q(z) <= exp(-(z / t)^2 / 2), an equal share for each of n bounded modes.
     """
-    levels = np.empty((2, len(allowed)))
-    for axis, k in np.ndindex(levels.shape):
-        p, b = modes[:, 0], modes[:, 1 + 2 * axis]
-        sigma = np.maximum(modes[:, 2 + 2 * axis], _TINY_M)
-        bounded = np.isfinite(b + sigma)
-        left = allowed[k] - p[~bounded].sum()
-        p, b, sigma = p[bounded], b[bounded], sigma[bounded]
-        if left <= 0.0:
-            levels[axis, k] = np.inf
-            continue
-        if p.sum() <= left:
-            levels[axis, k] = 0.0
-            continue
-        low, high = 0.0, 0.0
-        for i in range(len(p)):
-            share = left / max(len(p) * p[i], _TINY)
-            if share < 1.0:
-                high = max(high, b[i] + sigma[i] * max(core_scale, tail_scale) * math.sqrt(-2.0 * math.log(share)))
-        tail = core_scale, tail_scale, tail_share, axis == 0
-        at_low, at_high = _excess(p, b, sigma, low, left, *tail), _excess(p, b, sigma, high, left, *tail)
-        for _ in range(_MOST_STEPS):
-            if high - low <= _EXACT * high:
-                break
-            middle = (low * at_high - high * at_low) / (at_high - at_low)
-            if not low < middle < high:
-                middle = 0.5 * (low + high)
-            value = _excess(p, b, sigma, middle, left, *tail)
-            if value > 0.0:
-                low, at_low, at_high = middle, value, 0.5 * at_high
-            else:
-                high, at_high, at_low = middle, value, 0.5 * at_low
-        levels[axis, k] = high
-    return levels
+    bounded = [(p, b, max(sigma, _TINY_M)) for p, b, sigma in modes if math.isfinite(b + sigma)]
+    left = allowed - sum(p for p, b, sigma in modes if not math.isfinite(b + sigma))
+    if left <= 0.0:
+        return math.inf
+    if sum(p for p, _, _ in bounded) <= left:
+        return 0.0
 
+    def excess(level_m: float) -> float:
+        """Ln of the sum over what is allowed."""
+        total = sum([p * tail.level(exceeds, (level_m - b) / sigma) for p, b, sigma in bounded])
+        return math.log(max(total, _TINY) / left)
 
-@njit(cache=True, error_model="numpy")
-def _excess(
-    p: Array, b: Array, sigma: Array, level_m: float, left: float,
-    core_scale: float, tail_scale: float, tail_share: float, in_plane: bool,
-) -> float:  # fmt: skip
-    """ln of the sum over what is allowed."""
-    total = 0.0
-    for i in range(len(p)):
-        z = (level_m - b[i]) / sigma[i]
-        if z <= 0.0:
-            total += p[i]
-        elif in_plane:
-            total += p[i] * (1.0 - tail_share) * math.exp(-0.5 * (z / core_scale) ** 2)
-            total += p[i] * tail_share * math.exp(-0.5 * (z / tail_scale) ** 2)
+    low, high, widest = 0.0, 0.0, max(tail.core_scale, tail.tail_scale)
+    for p, b, sigma in bounded:
+        share = left / max(len(bounded) * p, _TINY)
+        if share < 1.0:
+            high = max(high, b + sigma * widest * math.sqrt(-2.0 * math.log(share)))
+    at_low, at_high = excess(low), excess(high)
+    for _ in range(_MOST_STEPS):
+        if high - low <= _EXACT * high:
+            break
+        middle = (low * at_high - high * at_low) / ((at_high - at_low) or math.inf)
+        if not low < middle < high:
+            middle = 0.5 * (low + high)
+        value = excess(middle)
+        if value > 0.0:
+            low, at_low, at_high = middle, value, 0.5 * at_high
         else:
-            total += p[i] * (1.0 - tail_share) * math.erfc(z / core_scale * math.sqrt(0.5))
-            total += p[i] * tail_share * math.erfc(z / tail_scale * math.sqrt(0.5))
-    return math.log(max(total, _TINY) / left)
+            high, at_high, at_low = middle, value, 0.5 * at_low
+    return high
 
 
 def _reduced(distance_m: float, sigma_m: float) -> float:

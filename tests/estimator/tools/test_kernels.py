@@ -90,7 +90,7 @@ def test_parts_run_two_at_a_time_and_progress_is_a_line_a_tenth(
 ) -> None:
     kernels.prepare(kernels.each_tenth("compiling"), [compiles_one] * 3)
     assert nothing_there == ["forgotten", "marked"]
-    (first,) = capfd.readouterr().err.splitlines()  # 3 of 131 are no tenth
+    (first,) = capfd.readouterr().err.splitlines()  # 3 of 128 are no tenth
     assert first.startswith("compiling   ")
 
 
