@@ -168,10 +168,9 @@ def _fix(change: Callable[[float, float, np.random.Generator], tuple[float, floa
 
 def jammed(m: Messages, rng: np.random.Generator) -> Messages:
     """Noise grows, the reported accuracy does not."""
-    at, sigma = _later(m, rng), rng.uniform(15.0, 40.0) / 111e3
-    noisy = _fix(lambda a, b, r: (a + r.normal() * sigma, b + r.normal() * sigma))
+    sigma = rng.uniform(15.0, 40.0) / 111e3
     kept = [replace(x, covariance_n=np.diag([1.0, 1.0, 2.0])) for x in m]
-    return [x for x in kept if x.arrived_ns < at] + noisy([x for x in kept if x.arrived_ns >= at], rng)
+    return later(_fix(lambda a, b, r: (a + r.normal() * sigma, b + r.normal() * sigma)))(kept, rng)
 
 
 def _velocity(change: Callable[[np.ndarray], np.ndarray]) -> Change:
@@ -223,7 +222,91 @@ def level_poses(m: Messages, _: np.random.Generator) -> Messages:
     return [replace(x, q_nb_wxyz=(1.0, 0.0, 0.0, 0.0)) for x in m if isinstance(x, PoseFix)]
 
 
+def later(change: Change) -> Change:
+    """From a time on."""
+
+    def changed(m: Messages, rng: np.random.Generator) -> Messages:
+        at = _later(m, rng)
+        return [x for x in m if x.arrived_ns < at] + change([x for x in m if x.arrived_ns >= at], rng)
+
+    return changed
+
+
+def not_a_number(m: Messages, rng: np.random.Generator) -> Messages:
+    """From a time on; of an IMU, one axis."""
+    nan = np.where(np.arange(6) == int(rng.integers(6)), np.nan, 1.0)
+    return later(_imu(lambda v: v * nan) if isinstance(m[0], ImuSample) else _fix(lambda _, b, _r: (np.nan, b)))(m, rng)
+
+
+def twice(m: Messages, _: np.random.Generator) -> Messages:
+    """Two bridges."""
+    return [x for x in m for _ in range(2)]
+
+
+def stamps_stop(m: Messages, rng: np.random.Generator) -> Messages:
+    """From a time on."""
+    at, first = _later(m, rng), m[0].t_ns
+    return _stamps(lambda t, a, _: t if a < at else first)(m, 0)
+
+
+def jitter(m: Messages, rng: np.random.Generator) -> Messages:
+    """Of several periods."""
+    sigma = float(rng.uniform(2.0, 6.0) * np.median(np.diff([x.t_ns for x in m])))
+    return [replace(x, t_ns=round(x.t_ns + sigma * rng.normal())) for x in m]
+
+
+def lost(m: Messages, rng: np.random.Generator) -> Messages:
+    """Single samples, at random."""
+    share = rng.uniform(0.3, 0.7)
+    return [x for x in m if rng.random() > share]
+
+
+def holes(m: Messages, rng: np.random.Generator) -> Messages:
+    """Of half a second, every few seconds."""
+    long, every = rng.uniform(0.4, 0.8), rng.uniform(2.0, 4.0)
+    return [x for x in m if (x.arrived_ns * 1e-9) % every > long]
+
+
+def elsewhere(m: Messages, rng: np.random.Generator) -> Messages:
+    """A receiver that is spoofed to 50 to 1,000 m away."""
+    way, course = 10.0 ** rng.uniform(1.7, 3.0) / 111e3, rng.uniform(0.0, 2.0 * np.pi)
+    return later(_fix(lambda a, b, _: (a + way * np.cos(course), b + way * np.sin(course) / np.cos(np.radians(a)))))(m, rng)
+
+
+def outliers(m: Messages, _: np.random.Generator) -> Messages:
+    """Of some hundred metres, one in ten."""
+    return _fix(lambda a, b, r: (a + (r.random() < 0.1) * r.normal() * 3e-3, b + (r.random() < 0.1) * r.normal() * 3e-3))(m, _)
+
+
+def _rounded(digits: int) -> Change:
+    return _fix(lambda a, b, _: (round(a, digits), round(b, digits)))
+
+
+def _moved_pose(change: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]) -> Change:
+    """change(p, q)."""
+
+    def changed(m: Messages, _: np.random.Generator) -> Messages:
+        out: Messages = []
+        for x in m:
+            if isinstance(x, PoseFix):
+                p, q = change(np.array(x.p_n), np.array(x.q_nb_wxyz))
+                out.append(replace(x, p_n=tuple(p.tolist()), q_nb_wxyz=tuple(q.tolist())))
+            elif isinstance(x, OdometryPose):
+                p, q = change(np.array(x.p_o), np.array(x.q_ob_wxyz))
+                out.append(replace(x, p_o=tuple(p.tolist()), q_ob_wxyz=tuple(q.tolist())))
+        return out
+
+    return changed
+
+
+def late(m: Messages, rng: np.random.Generator) -> Messages:
+    """Stamped on arrival, by 0.5 to 1.3 s."""
+    by = int(1e9 * rng.uniform(0.5, 1.3))
+    return [replace(x, t_ns=x.t_ns + by, arrived_ns=x.arrived_ns + by) for x in m]
+
+
 DEG: Final = 180.0 / np.pi
+_INVERSE: Final = (1.0, -1.0, -1.0, -1.0)
 _ALL = ("imu", "gnss", "velocity", "pose", "baro", "field")
 _STEPS, _SPEED = ("jump", "fall back"), ("times the speed", "drift")
 FAULTS: Final[dict[str, Fault]] = {
@@ -247,6 +330,28 @@ FAULTS: Final[dict[str, Fault]] = {
     "imu on its side": Fault("imu", _imu(lambda v: v[[0, 2, 1, 3, 5, 4]] * [1, -1, 1, 1, -1, 1]), ("mounted",)),
     "imu gravity removed": Fault("imu", without_gravity, ("gravity is missing",)),
     "gyro mirrored": Fault("turning", mirrored_gyro, ("mirrored", "turned")),
+    **{f"{kind} not a number": Fault(kind, not_a_number, ("not a number",)) for kind in ("imu", "gnss")},
+    **{f"{kind} twice": Fault(kind, twice, ("comes 2 times",)) for kind in ("imu", "gnss", "velocity")},
+    **{f"{kind} stamps stop": Fault(kind, stamps_stop, ("stamps",)) for kind in ("imu", "gnss")},
+    "imu stamps jitter": Fault("imu", jitter, ("go back",)),
+    **{f"imu {name}": Fault("imu", change, ("missing",)) for name, change in (("loses samples", lost), ("has holes", holes))},
+    "gyro offset": Fault("turning", _imu(lambda v: np.add(v, [0.2, -0.1, 0.3, 0.0, 0.0, 0.0])), ("gyroscope",)),
+    "gyro rounded": Fault("imu", _imu(lambda v: np.array([*(0.05 * np.round(20.0 * v[:3])), *v[3:]])), ("rounded",)),
+    "gnss spoofed": Fault("gnss", elsewhere, ("jump",)),
+    "gnss outliers": Fault("gnss", outliers, ("jump", "scatter")),
+    "gnss of 4 digits": Fault("gnss", _rounded(4), ("rounded",)),
+    "gnss in 1e-7 degrees": Fault("gnss", _fix(lambda a, b, _: (1e7 * a, 1e7 * b)), ("degrees",)),
+    "gnss sure of itself": Fault("gnss", lambda m, _: [replace(x, covariance_n=1e-8 * np.eye(3)) for x in m], ("accuracy",)),
+    "velocity of the body": Fault("velocity", _velocity(lambda v: np.array([np.hypot(v[0], v[1]), 0.0, v[2]])), ("body",)),
+    **{f"{kind} late": Fault(kind, late, ("late",)) for kind in ("pose", "odometry")},
+    "pose inverse": Fault("pose", _moved_pose(lambda p, q: (p, q * _INVERSE)), ("inverse",)),
+    "odometry inverse": Fault("odometry", _moved_pose(lambda p, q: (p, q * _INVERSE)), ("inverse",)),
+    "pose x, y, z, w": Fault("pose", _moved_pose(lambda p, q: (p, q[[1, 2, 3, 0]])), ("x, y, z, w",)),
+    "pose of angles": Fault("pose", _moved_pose(lambda p, q: (p, 57.3 * q)), ("length",)),
+    "pose of another map": Fault("pose", later(_moved_pose(lambda p, q: (np.add(p, [9.0, -12.0, 1.0]), q))), ("jump",)),
+    "pose in centimetres": Fault("pose", _moved_pose(lambda p, q: (100.0 * p, q)), ("centimetres",)),
+    "odometry twice as long": Fault("odometry", _moved_pose(lambda p, q: (2.0 * p, q)), ("times too large",)),
+    "baro jumps": Fault("baro", later(_reading(lambda v: v + 500.0)), ("jump",)),
     "gnss exchanged": Fault("gnss", _fix(lambda a, b, _: (b, a)), ("exchanged",)),
     "gnss longitude sign": Fault("gnss", _fix(lambda a, b, _: (a, -b)), ("wrong sign",)),
     "gnss elsewhere": Fault("gnss", _fix(lambda a, b, _: (a - 25.0, b)), ("from [map] origin",)),

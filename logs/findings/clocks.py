@@ -7,7 +7,7 @@ import numpy as np
 from logs.findings.streams import IMU, Cause, Stream
 from models.messages import Array
 
-_FEW_DISTINCT: Final = 0.5  # of all stamps
+_FEW_DISTINCT: Final = 0.8  # of all stamps
 _BATCH_WAIT: Final = 0.9  # of the span lies in the waits between batches
 _LEAST_BATCHES: Final = 10
 _ROUGH: Final = 0.02  # no quartz is off by 2 %
@@ -21,6 +21,8 @@ _STEADY: Final = 0.2  # of a step: what offsets scatter before and after it
 _IMU_AHEAD_S, _AHEAD_S = 0.05, 0.3  # a delay as typed, or estimated, may be as large
 _IMU_LATE_S, _LATE_S = 0.5, 6.0  # later measurements are too old for the default history
 _DISORDER: Final = 0.02  # of all stamps
+_LOST: Final = 0.08  # of all samples
+_WHOLE, _REGULAR = 0.2, 0.9  # of a period; of all steps
 _SILENT_S: Final = 1.0
 _ENDED_S: Final = 3.0
 _DIGITS: Final = "write the time with all its digits (nanoseconds or float64 seconds)"
@@ -43,7 +45,7 @@ class _Line(NamedTuple):
 
 
 def few_stamps(stream: Stream) -> Cause | None:
-    """Distinct stamps / samples < 1/2 with changing values."""
+    """Distinct stamps / samples < 0.8 with changing values."""
     n, distinct = len(stream.t_s), len(np.unique(stream.t_s))
     if distinct == 1:
         return Cause(f"all {n} stamps are the same", float(stream.arrived_s[0]), "let the sender set header.stamp", unfit=True)
@@ -187,6 +189,21 @@ def silence(stream: Stream, others: list[Stream]) -> Cause | None:
         what = f"it ends {heard[-1] - last:.1f} s before the others"
         return Cause(what, last, "see the IMU's driver and its cable")
     return None
+
+
+def lost(stream: Stream) -> Cause | None:
+    """An IMU's steps are whole periods, many of them more than one."""
+    steps = np.diff(np.unique(stream.t_s))
+    period = float(np.quantile(steps, 0.1)) if len(steps) else 0.0
+    if stream.kind != IMU or period <= 0.0:
+        return None
+    ratio = steps[steps < _SILENT_S] / period
+    whole = np.round(ratio)
+    share = float((whole - 1.0).sum() / max(whole.sum(), 1.0))
+    if share < _LOST or np.mean(np.abs(ratio - whole) < _WHOLE) < _REGULAR:
+        return None
+    what = f"{share:.0%} of its samples are missing, up to {period * (whole.max() - 1.0):.2g} s at a time"
+    return Cause(what, float(stream.arrived_s[0]), "see bandwidth, queues and processor load on the way of the IMU")
 
 
 def _between(t: Array, low: float, high: float) -> int:

@@ -13,7 +13,9 @@ _LIVELY: Final = 0.5  # of the readings differ from the one before
 _MOVING_M_S: Final = 1.0
 _MOVED_M: Final = 5.0  # while it was held
 _TURNED_RAD: Final = 0.2  # likewise
+_SWAY_S, _SWAYING_RAD_S = 0.25, 0.1
 _REGULAR: Final = 0.7  # of the runs
+_AGAIN: Final = 0.4  # of all messages
 _EVIDENCE: Final = (IMU, FIX, VELOCITY, POSE)  # of which copies count
 _EARTH_M: Final = 111_320.0  # a degree of latitude
 
@@ -44,6 +46,15 @@ def held(stream: Stream, imu: Stream | None) -> Cause | None:
     return Cause(what, float(stream.arrived_s[first]), "its sender holds the last value: let it be silent then")
 
 
+def again(stream: Stream) -> Cause | None:
+    """Messages come again with stamp and reading."""
+    same = (np.diff(stream.t_s) == 0.0) & np.all(np.diff(stream.values, axis=0) == 0.0, axis=1)
+    if same.all() or same.mean() < _AGAIN:
+        return None
+    what = f"each of its messages comes {round(1.0 / (1.0 - same.mean()))} times"
+    return Cause(what, float(stream.arrived_s[0]), "two senders, or two bridges, write this topic: stop one")
+
+
 def copies(stream: Stream) -> Cause | None:
     """Each reading appears m >= 2 times under own stamps, mostly in equal runs."""
     if stream.kind not in _EVIDENCE:
@@ -67,11 +78,15 @@ def _measured(stream: Stream) -> slice:
 
 
 def _moves(stream: Stream, imu: Stream | None, first: int, last: int) -> bool:
-    """Receiver: at > 1 m/s before, or 5 m away behind; magnetometer: the IMU turns; others: its samples change."""
+    """Receiver: at > 1 m/s before, 5 m away behind, or swaying; magnetometer: the IMU turns; others: it changes."""
     if stream.kind in (IMU, "range"):  # the height above the ground may stay as it is
         return stream.kind == IMU
+    if stream.kind == VELOCITY and float(np.linalg.norm(stream.values[first])) > _MOVING_M_S:
+        return True
+    if stream.kind in (FIX, VELOCITY) and imu is not None and _sways(stream, imu, first, last):
+        return True
     if stream.kind == VELOCITY:
-        return float(np.linalg.norm(stream.values[first])) > _MOVING_M_S
+        return False
     if stream.kind == FIX:
         after = min(last + 1, len(stream.t_s) - 1)
         speed = max(_speed(stream, max(0, first - 10), first), _speed(stream, first, last))
@@ -86,6 +101,17 @@ def _moves(stream: Stream, imu: Stream | None, first: int, last: int) -> bool:
         turned_rad = np.linalg.norm(samples[:, :3].mean(axis=0)) * (stream.arrived_s[last] - stream.arrived_s[first])
         return bool(turned_rad > _TURNED_RAD)
     return float(np.mean(np.any(np.diff(samples, axis=0) != 0.0, axis=1))) > _LIVELY
+
+
+def _sways(stream: Stream, imu: Stream, first: int, last: int) -> bool:
+    """The vehicle turns to and fro, slower than its motors shake it, meanwhile: it is not on the ground."""
+    rows = (imu.arrived_s >= stream.arrived_s[first]) & (imu.arrived_s <= stream.arrived_s[last])
+    width = round(_SWAY_S * np.count_nonzero(rows) / max(float(stream.arrived_s[last] - stream.arrived_s[first]), 1e-9))
+    if width < 2 or np.count_nonzero(rows) < 8 * width or not stream.values[first, :3].any():
+        return False
+    rate = imu.values[rows, :3]
+    slow = rate[: len(rate) // width * width].reshape(-1, width, 3).mean(axis=1)
+    return bool(np.linalg.norm(slow.std(axis=0)) > _SWAYING_RAD_S)
 
 
 def _speed(fixes: Stream, first: int, last: int) -> float:

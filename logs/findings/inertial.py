@@ -16,6 +16,9 @@ _LIVELY: Final = 0.5  # of the samples differ from the one before
 _NOISE: Final = -0.2  # lag-1 correlation of differences: -0.5 is white noise, a smooth signal has more than 0
 _STILL_WINDOW_S: Final = 1.0
 _GRAVITY_BAND: Final = (6.0, 16.0)  # m/s^2, mean over the stillest second: of a lively flight as well
+_REST_GYRO, _REST_ACCEL = 0.02, 0.15  # rad/s, m/s^2: standard deviations of a second at rest
+_OFF_GYRO, _OFF_ACCEL = 0.15, 0.6  # rad/s, m/s^2: more than biases of small sensors
+_UPRIGHT: Final = 0.15  # m/s^2: in a banked turn |f| differs more from g
 _TILT_DEG: Final = 60.0
 _BEGINNING_S: Final = 10.0
 _FASTEST_RAD_S: Final = 40.0  # 2300 deg/s: beyond the range of flight gyroscopes
@@ -49,7 +52,7 @@ def halves(imu: Stream) -> Cause | None:
     if imu.kind != IMU:
         return None
     empty = [float(np.mean(~imu.values[:, part].any(axis=1))) for part in (slice(0, 3), slice(3, 6))]
-    if max(empty) < _HALF_EMPTY or min(empty) > 1.0 - _HALF_EMPTY:
+    if max(empty) < _HALF_EMPTY or min(empty) > 1.0 - _HALF_EMPTY or (min(empty) == 0.0 and max(empty) < 1.0 - _HALF_EMPTY):
         return None
     what = f"the gyroscope is exactly 0 in {empty[0]:.0%}, the accelerometer in {empty[1]:.0%} of the samples"
     return Cause(what, float(imu.arrived_s[0]), "put rate and force of one moment into one message")
@@ -63,7 +66,7 @@ def units(imu: Stream) -> Cause | None:
     if len(finite) < 2:
         return None
     gyro = np.linalg.norm(finite[:, :3], axis=1)
-    length = float(np.linalg.norm(_stillest(imu)[3:]))
+    length = float(np.linalg.norm(_stillest(imu).mean(axis=0)[3:]))
     since_s = float(imu.arrived_s[0])
     if np.mean(gyro > _FASTEST_RAD_S) > _FEW_SPIKES or gyro.mean() > _SWIFT_RAD_S:
         what = f"it turns at {gyro.mean():.1f} rad/s on average, up to {gyro.max():.0f}: the gyroscope is in deg/s"
@@ -77,6 +80,24 @@ def units(imu: Stream) -> Cause | None:
     if mean < 2.0:
         return Cause(f"{read}: gravity is missing", since_s, "send the specific force as it is measured, gravity included")
     return Cause(f"{read}: its unit or scale is wrong", since_s, f"send m/s^2: at rest it reads {GRAVITY:.2f}")
+
+
+def off_at_rest(imu: Stream) -> Cause | None:
+    """Where the force stands still: |f| = g, and no rate across it, but for biases."""
+    window = _stillest(imu)
+    mean, spread = window.mean(axis=0), window.std(axis=0)
+    if imu.kind != IMU or len(window) < 10 or spread[:3].max() > _REST_GYRO or spread[3:].max() > _REST_ACCEL:
+        return None
+    rate, length, since_s = mean[:3], float(np.linalg.norm(mean[3:])), float(imu.arrived_s[0])
+    down = mean[3:] / length
+    across = float(np.linalg.norm(rate - down * (rate @ down)))
+    if across > _OFF_GYRO and abs(length - GRAVITY) < _UPRIGHT:
+        what = f"the gyroscope reads {across:.2f} rad/s in a second in which gravity does not turn"
+        return Cause(what, since_s, "it has an offset: calibrate it at rest, or mend its driver")
+    if abs(length - GRAVITY) > _OFF_ACCEL and np.linalg.norm(rate) < 0.5 * _OFF_GYRO:
+        what = f"the accelerometer reads {length:.2f} m/s^2 at rest: its scale or offset is wrong"
+        return Cause(what, since_s, f"calibrate it: at rest it reads {GRAVITY:.2f}")
+    return None
 
 
 def spikes(imu: Stream) -> Cause | None:
@@ -98,7 +119,7 @@ def tilted(imu: Stream) -> Cause | None:
     """
     if imu.kind != IMU or imu.arrived_s[0] > _BEGINNING_S:
         return None
-    tilt_deg = min(_tilt_deg(_stillest(imu)[3:]), _tilt_deg(np.nanmean(imu.values[:, 3:], axis=0)))
+    tilt_deg = min(_tilt_deg(_stillest(imu).mean(axis=0)[3:]), _tilt_deg(np.nanmean(imu.values[:, 3:], axis=0)))
     if tilt_deg < _TILT_DEG:
         return None
     what = f"gravity is {tilt_deg:.0f} degrees from the body's down"
@@ -123,7 +144,8 @@ def frozen_axis(imu: Stream) -> Cause | None:
             long_s = imu.arrived_s[last] - imu.arrived_s[first]
             alive = 1.0 - np.mean(same[first:last, sensor], axis=0)
             stuck = imu.kind == IMU and axis < 3 and imu.values[first, axis] != 0.0 and long_s > _STUCK_S
-            lived = noisy or stuck or (first > 0 and 1.0 - same[:first, axis].mean() > _LIVELY)
+            never = imu.kind != IMU and not imu.values[:, axis].any()
+            lived = noisy or stuck or never or (first > 0 and 1.0 - same[:first, axis].mean() > _LIVELY)
             still = imu.kind != IMU and not _turns(imu.values[first:last])
             if lived and not still and long_s > _FROZEN_S and last - first >= _LEAST_FROZEN and alive.max() > _LIVELY:
                 name, value = (
@@ -158,14 +180,14 @@ def _tilt_deg(f_b: Array) -> float:
 
 
 def _stillest(imu: Stream) -> Array:
+    """Samples (n, 6) of that second."""
     samples = imu.values[np.isfinite(imu.values).all(axis=1)]
     hz = len(samples) / max(float(np.ptp(imu.arrived_s)), 1e-9)
     width = min(max(2, round(hz * _STILL_WINDOW_S)), max(1, len(samples)))
     windows = samples[: len(samples) // width * width].reshape(-1, width, 6)
     spread = windows.std(axis=1)
     score = spread[:, :3].sum(axis=1) + spread[:, 3:].sum(axis=1) / GRAVITY
-    mean: Array = windows[int(np.argmin(score))].mean(axis=0)
-    return mean
+    return np.asarray(windows[int(np.argmin(score))])
 
 
 def _is_noisy(x: Array) -> bool:

@@ -1,13 +1,15 @@
 """All causes of a stretch, likeliest first."""
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
 from itertools import chain
 from typing import Final
 
 import numpy as np
 
-from logs.findings import clocks, held, inertial, numbers, position, pull, turning
-from logs.findings.streams import ATTITUDE, FIX, IMU, POSE, TURNING, VELOCITY, Cause, Finding, Stream, Streams
+from logs.findings import clocks, heights, held, inertial, jumps, numbers, position, pull, turning
+from logs.findings.relation import Relation
+from logs.findings.streams import ATTITUDE, FIX, IMU, ODOMETRY, POSE, TURNING, VELOCITY, Cause, Finding, Stream, Streams
 from models.messages import Vec3
 
 _LEAST_SAMPLES: Final = 20
@@ -41,8 +43,8 @@ def _stamps(streams: Streams) -> Iterator[tuple[str, str, Cause]]:
     for name, s in streams.items():
         others = [other for topic, other in streams.items() if topic != name]
         cause = (
-            clocks.sawtooth(s) or clocks.few_stamps(s) or clocks.two_clocks(s) or clocks.batches(s) or clocks.step(s, others)
-            or clocks.rate(s, others) or clocks.shifted(s, others) or clocks.disorder(s)
+            clocks.sawtooth(s) or clocks.few_stamps(s) or clocks.two_clocks(s) or held.again(s) or clocks.disorder(s)
+            or clocks.batches(s) or clocks.step(s, others) or clocks.rate(s, others) or clocks.shifted(s, others)
         )  # fmt: skip
         if cause:
             yield name, "", cause
@@ -50,6 +52,9 @@ def _stamps(streams: Streams) -> Iterator[tuple[str, str, Cause]]:
 
 def _values(streams: Streams, origin: Vec3 | None) -> Iterator[tuple[str, str, Cause]]:
     imu = next((s for s in streams.values() if s.kind == IMU), None)
+    alt_m = next(
+        (float(np.median(s.in_order().values[:, 2])) for s in streams.values() if s.kind == FIX and len(s.in_order().t_s)), None
+    )
     for name, s in streams.items():
         others = [other for topic, other in streams.items() if topic != name]
         found: Cause | None
@@ -57,14 +62,18 @@ def _values(streams: Streams, origin: Vec3 | None) -> Iterator[tuple[str, str, C
             found = (
                 inertial.slow(s) or inertial.halves(s) or held.copies(s) or held.held(s, None) or inertial.frozen_axis(s)
                 or inertial.units(s) or inertial.tilted(s) or inertial.spikes(s) or inertial.clipped(s)
-                or clocks.silence(s, others)
+                or clocks.silence(s, others) or clocks.lost(s) or numbers.rounded(s) or inertial.off_at_rest(s)
             )  # fmt: skip
         else:
             found = held.zero(s) or (held.held(s, imu) or held.copies(s) if s.kind != ATTITUDE else None)
         if s.kind == FIX and not found:
-            found = position.far(s, origin) or position.scattered(s)
+            found = (
+                position.far(s, origin) or position.accuracy(s) or numbers.rounded(s) or position.scattered(s) or jumps.jump(s)
+            )
+        if s.kind in TURNING and not found:
+            found = numbers.no_quaternions(s) or (jumps.jump(s) if s.kind == POSE else None)
         if s.kind == _BARO and not found:
-            found = position.pressure(s)
+            found = position.pressure(s, alt_m) or position.pressure_jump(s)
         if s.kind == _FIELD and not found:
             found = inertial.frozen_axis(s)
         if found:
@@ -75,6 +84,8 @@ def _relations(streams: Streams, guilty: set[str]) -> Iterator[tuple[str, str, C
     sound = {name: s for name, s in streams.items() if name not in guilty}
     imu = next(((name, s) for name, s in sound.items() if s.kind == IMU), None)
     yield from chain(_turns(sound, *imu) if imu else (), _ways(sound))
+    if odd := heights.odd(sound):
+        yield odd[0], "way up", odd[1]
 
 
 def _turns(streams: Streams, name: str, imu: Stream) -> Iterator[tuple[str, str, Cause]]:
@@ -93,13 +104,41 @@ def _turns(streams: Streams, name: str, imu: Stream) -> Iterator[tuple[str, str,
     for n, found in bad.items():
         if cause := turning.misturned(found, streams[n], name):
             yield n, "turn", cause
+    yield from _against(name, imu, {n: s for n, s in streams.items() if n in related and n not in bad}, turned, related)
     for n, s in streams.items():
-        if s.kind == POSE and n not in bad and (cause := pull.pulled(imu, s)):
-            yield n, "pull", cause
         if s.kind == _FIELD and (cause := turning.field(turned, s)):
             headings = [n for n, other in streams.items() if other.kind == "attitude"]
             more = f"; leave out the autopilot's heading that rests on it ({', '.join(headings)})" if headings else ""
             yield n, "field", cause._replace(advice=cause.advice + more)
+
+
+def _against(
+    name: str, imu: Stream, poses: Streams, turned: turning.Turned, related: Mapping[str, Relation | None]
+) -> Iterator[tuple[str, str, Cause]]:
+    """Each source of attitudes against the IMU, which is at fault where two and all of them say the same."""
+    found = {n: cause for n, s in poses.items() if (cause := _pose_cause(turned, imu, s, related[n]))}
+    kinds = {re.sub(r"[-\d.]+", "", cause.what) for cause in found.values()}
+    if len(found) > 1 and len(found) == len(poses) and len(kinds) == 1:
+        first = next(iter(found.values())).what
+        late = "early" if "late" in first else "late"
+        what = f"its stamps are {late}, or those of" if "stamps" in first else "its accelerometer contradicts the motion of"
+        advice = "see its scale, offset and mounting" if "stamps" not in first else "stamp samples when they are measured"
+        yield name, "pull", Cause(f"{what} {' and '.join(found)}, which agree", float(imu.arrived_s[0]), advice)
+        return
+    for n, cause in found.items():
+        yield n, "pull", cause
+    offsets = {n: o for n, s in poses.items() if n not in found and (o := turning.offset(turned, s)) is not None}
+    if offsets and len(offsets) == sum(r is not None for r in related.values()):
+        x, y, z = next(iter(offsets.values())).tolist()
+        what = f"its gyroscope is off by ({x:.2f}, {y:.2f}, {z:.2f}) rad/s against {' and '.join(offsets)}"
+        yield name, "offset", Cause(what, float(imu.arrived_s[0]), "calibrate it at rest, or mend its driver")
+
+
+def _pose_cause(turned: turning.Turned, imu: Stream, s: Stream, found: Relation | None) -> Cause | None:
+    cause = None
+    if found is None or found.equal > 0.5:
+        cause = turning.reordered(turned, s) or (turning.late(turned, s, found.equal) if found else None)
+    return cause or (pull.pulled(imu, s) if s.kind in (POSE, ODOMETRY) else None)
 
 
 def _alike(turns: list[np.ndarray]) -> bool:
@@ -117,7 +156,11 @@ def _ways(streams: Streams) -> Iterator[tuple[str, str, Cause]]:
             yield name, "way", _cause(fix, f"{position.of_velocity(found)} against the other sources")
             continue
         for n, r in speed.items():
-            if r is not None and r.differs():
+            if (r is None or r.equal > 0.5) and (cause := position.still_or_forward(fix, streams[n], name)):
+                yield n, "way", cause
+            elif r is not None and not r.differs() and (cause := position.runs_away(fix, streams[n], n)):
+                yield name, "way", cause
+            elif r is not None and r.differs():
                 yield n, "way", _cause(streams[n], f"{position.of_velocity(r)}, against the positions of {name}")
         for n, r in other.items():
             if r is not None and r.differs() and streams[n].kind == POSE:

@@ -17,8 +17,15 @@ _STEP_S: Final = 1.0
 _LONGEST_S: Final = 6.0
 _LEAST_STEPS: Final = 8
 _LEAST_M: Final = 1.0  # RMS of a step: a receiver's noise is less
+_AWAY_STEPS: Final = 15
+_AWAY_M_S, _AWAY_SHARE, _TOGETHER_M_S = 0.7, 0.05, 0.2
 _SCATTER: Final = 8.0  # times the reported accuracy
 _SCATTER_M: Final = 3.0
+_ACCURACY_M: Final = (2e-3, 1e3)  # of any receiver that is of use
+_HEIGHT_M: Final = (-1e3, 3e4)
+_PRESSURE_RATIO: Final = 1.12  # weather and a map's geoid make 1.05
+_JUMP_PA: Final = 200.0  # 17 m
+_JUMP_S: Final = 0.5
 _PRESSURE_PA: Final = (2e4, 1.15e5)
 _SPEED_UNITS: Final = ((3.6, "km/h"), (1.94384, "knots"), (100.0, "cm/s"), (1000.0, "mm/s"), (2.23694, "mph"))
 _LENGTH_UNITS: Final = ((100.0, "centimetres"), (1000.0, "millimetres"), (3.28084, "feet"), (1e-3, "kilometres"))
@@ -34,6 +41,8 @@ def far(stream: Stream, origin: Vec3 | None) -> Cause | None:
         swapped = abs(lon) <= 90.0 and abs(lat) <= 180.0
         what = "latitude and longitude are exchanged" if swapped else f"latitude {lat:.6g}, longitude {lon:.6g} are no degrees"
         return Cause(what, since_s, _DRIVER)
+    if alt < _HEIGHT_M[0] or alt > _HEIGHT_M[1]:  # NaN: not given
+        return Cause(f"its height is {alt:.6g} m", since_s, "send metres above the ellipsoid")
     if origin is None or (away_m := _distance(origin, lat, lon)) < _SUSPECT_M:
         return None
     others = {
@@ -49,6 +58,16 @@ def far(stream: Stream, origin: Vec3 | None) -> Cause | None:
     what = names[0] if names else f"its fixes are {1e-3 * away_m:.0f} km from [map] origin"
     advice = _DRIVER if names else f"set [map] origin = [{lat:.6f}, {lon:.6f}, {alt:.1f}], or mend the receiver"
     return Cause(what, since_s, advice)
+
+
+def accuracy(stream: Stream) -> Cause | None:
+    """A reported sigma that no receiver has, or none of use."""
+    given = stream.values[stream.values[:, 3] > 0.0, 3]
+    sigma = float(np.median(given)) if len(given) else 1.0
+    if _ACCURACY_M[0] < sigma < _ACCURACY_M[1]:
+        return None
+    advice = "let its driver fill in the covariance in m^2, or leave it 0 where the accuracy is not known"
+    return Cause(f"it reports an accuracy of {sigma:.2g} m, which no receiver has", float(stream.arrived_s[0]), advice)
 
 
 def scattered(stream: Stream) -> Cause | None:
@@ -95,6 +114,43 @@ def velocity_relation(fixes: Stream, velocity: Stream) -> Relation | None:
     return _related((ordered.t_s, way), positions(fixes), 2)
 
 
+def still_or_forward(fixes: Stream, velocity: Stream, name: str) -> Cause | None:
+    """A velocity of 0, or along one axis only, while positions move on all ways; name: of the fixes."""
+    t, p = positions(fixes)
+    steps = np.abs(np.diff(p[:, :2], axis=0))
+    moved = float(np.linalg.norm(np.ptp(p[:, :2], axis=0))) if len(t) else 0.0
+    since_s, v = float(velocity.arrived_s[0]), velocity.values
+    if moved < 20.0 or not len(steps):
+        return None
+    if not v.any():
+        return Cause(f"all its readings are 0 while {name} moves by {moved:.0f} m", since_s, "its driver gives no velocity")
+    along, across = np.sqrt(np.mean(v[:, :2] ** 2, axis=0))
+    if across < 0.1 * along and steps[:, 1].sum() > 0.3 * steps[:, 0].sum():
+        what = f"it is along one axis while {name} moves north and east: it is in the body's axes"
+        return Cause(what, since_s, "send east, north, up of the world")
+    return None
+
+
+def runs_away(fixes: Stream, velocity: Stream, name: str) -> Cause | None:
+    """d(p - int v dt) / dt over 15 s rises from below 0.2 m/s to above 0.7 m/s and 5 % of the speed; name: of the velocity."""
+    t, p = positions(fixes)
+    v = velocity.in_order()
+    if len(t) < _LEAST_STEPS or len(v.t_s) < _LEAST_STEPS or np.diff(v.t_s).max() > _LONGEST_S or np.diff(t).max() > _LONGEST_S:
+        return None
+    way = np.concatenate([np.zeros((1, 2)), np.cumsum(0.5 * (v.values[1:, :2] + v.values[:-1, :2]) * np.diff(v.t_s)[:, None], 0)])
+    at = np.arange(max(t[0], v.t_s[0]), min(t[-1], v.t_s[-1]), _STEP_S)
+    apart = np.stack([np.interp(at, t, p[:, k]) - np.interp(at, v.t_s, way[:, k]) for k in range(2)], axis=1)
+    speed = np.linalg.norm(apart[_AWAY_STEPS:] - apart[:-_AWAY_STEPS], axis=1) / (_AWAY_STEPS * _STEP_S)
+    most_m_s = _AWAY_M_S + _AWAY_SHARE * float(np.quantile(np.linalg.norm(v.values[:, :2], axis=1), 0.95))
+    if len(speed) < _AWAY_STEPS or speed.max() < most_m_s or np.median(speed[: _AWAY_STEPS // 3]) > _TOGETHER_M_S:
+        return None
+    k = int(np.argmax(speed > _TOGETHER_M_S))
+    if np.mean(speed[k:] > _TOGETHER_M_S) < 0.9:
+        return None
+    what = f"its positions run away from {name} at up to {speed.max():.1f} m/s"
+    return Cause(what, fixes.arrival_at(float(at[k])), "a receiver that is spoofed slowly, or a velocity that is not its own")
+
+
 def position_relation(fixes: Stream, others: Stream) -> Relation | None:
     """Way of the other source by that between fixes, horizontal."""
     return _related(positions(fixes), positions(others), 2)
@@ -118,24 +174,49 @@ def of_position(found: Relation) -> str:
     return of_scale(found.scale) if not found.mirrored and found.angle_deg <= 10.0 else named
 
 
-def of_scale(scale: float) -> str:
-    """Error of a length's unit."""
-    return _unit(scale, _LENGTH_UNITS)
+def of_scale(scale: float, rest: float = 0.0) -> str:
+    """Error of a length's unit; rest: of the relation."""
+    return _unit(scale, _LENGTH_UNITS, rest)
 
 
-def pressure(stream: Stream) -> Cause | None:
-    """A barometer's median is not air pressure in Pa."""
-    usual = float(np.median(stream.values))
+def pressure(stream: Stream, alt_m: float | None) -> Cause | None:
+    """A barometer's median is not air pressure in Pa; alt_m: where it is, if known."""
+    usual, since_s = float(np.median(stream.values)), float(stream.arrived_s[0])
+    low, high = _PRESSURE_PA if alt_m is None else (at_height(alt_m) / _PRESSURE_RATIO, at_height(alt_m) * _PRESSURE_RATIO)
     if _PRESSURE_PA[0] < usual < _PRESSURE_PA[1]:
         return None
-    unit = next((name for factor, name in ((100.0, "hPa"), (1e3, "kPa"), (3386.4, "inHg"), (0.1, "0.1 Pa"))
-                 if 5e4 < factor * usual < _PRESSURE_PA[1]), "")  # fmt: skip
-    what = f"it reads {usual:.6g} Pa" + (f": it is in {unit}" if unit else ": that is no pressure of the air")
-    return Cause(what, float(stream.arrived_s[0]), "send pascal")
+    unit = next((f": it is in {name}" for factor, name in ((100.0, "hPa"), (1e3, "kPa"), (3386.4, "inHg"), (0.1, "0.1 Pa"))
+                 if max(5e4, low) < factor * usual < min(high, _PRESSURE_PA[1])), "")  # fmt: skip
+    other = ": that is no pressure of the air" + (", but may be a height" if -500.0 < usual < 9e3 else "")
+    return Cause(f"it reads {usual:.6g} Pa{unit or other}", since_s, "send pascal")
 
 
-def _unit(factor: float, units: tuple[tuple[float, str], ...]) -> str:
-    name = next((name for size, name in units if abs(np.log(max(factor, 1e-12) / size)) < 0.08), "")
+def pressure_jump(stream: Stream) -> Cause | None:
+    """A step of pressure that no climb makes, and that stays."""
+    p = stream.values[:, 0]
+    steps = np.abs(np.diff(p)) * (np.diff(stream.arrived_s) < _JUMP_S)
+    k = int(np.argmax(steps)) + 1
+    if steps[k - 1] < _JUMP_PA or not 10 <= k <= len(p) - 10:
+        return None
+    size = float(np.median(p[k : k + 10]) - np.median(p[k - 10 : k]))
+    if abs(size) < 0.8 * _JUMP_PA:
+        return None
+    what = f"its pressure jumps by {size:+.0f} Pa ({-size / 12.0:+.0f} m) and stays"
+    return Cause(what, float(stream.arrived_s[k]), "see its hose and port, or its driver")
+
+
+def at_height(alt_m: float) -> float:
+    """p = 101325 Pa (1 - h / 44330 m)^5.255, the standard atmosphere."""
+    return float(101_325.0 * max(1.0 - alt_m / 44_330.0, 0.05) ** 5.255)
+
+
+def _unit(factor: float, units: tuple[tuple[float, str], ...], rest: float = 0.0) -> str:
+    near = [
+        (abs(np.log(max(factor, 1e-12) / size)), name)
+        for size, name in units
+        if 0.92 * factor < size < 1.08 * factor / max(1.0 - rest, 0.3)
+    ]  # noise of the other side makes it smaller
+    name = min(near, default=(0.0, ""))[1]
     return f"{factor:.3g} times too large" + (f": {name}" if name else "")
 
 

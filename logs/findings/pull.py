@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from logs.findings.position import of_scale
 from logs.findings.relation import Relation, relation
-from logs.findings.streams import Cause, Stream
+from logs.findings.streams import POSE, Cause, Stream
 from models.frames import GRAVITY
 from models.messages import Array
 
@@ -22,6 +22,7 @@ _UP_DEG: Final = 20.0  # further off, its vertical is another
 _OUTLIER: Final = 4.0  # times the median
 _WRONG: Final = 0.7  # share of the changes that equality leaves; 0.4 with good poses
 _EXPLAINED, _UNEXPLAINED = 0.45, 0.7  # by axes and scale
+_SCALE: Final = 1.4
 _LATE_S: Final = [s for s in np.arange(-1.2, 1.25, 0.1) if abs(s) > 0.25]
 _LATE_WRONG, _LATE_GAIN = 0.45, 0.6
 _AXES: Final = ("north", "east", "down")
@@ -36,9 +37,14 @@ def pulled(imu: Stream, poses: Stream) -> Cause | None:
     up, force, change = found
     since_s = float(poses.arrived_s[0])
     off_deg = float(np.degrees(np.arccos(np.clip(-up[2] / np.linalg.norm(up), -1.0, 1.0))))
-    if off_deg > _UP_DEG:
+    if off_deg > _UP_DEG and poses.kind == POSE:
         return Cause(f"its down is {off_deg:.0f} degrees from gravity", since_s, _ADVICE)
-    if np.sqrt(np.mean(np.sum(force**2, axis=1))) < _LEAST_M_S or (here := relation(force, change)).equal < _LATE_WRONG:
+    if off_deg > _UP_DEG or np.sqrt(np.mean(np.sum(force**2, axis=1))) < _LEAST_M_S:
+        return None
+    here = relation(force, change)
+    if here.rest < _EXPLAINED and not here.mirrored and here.angle_deg < 30.0 and _scaled(here):
+        return Cause(f"its positions, against the accelerometer, are {of_scale(here.scale, here.rest)}", since_s, _ADVICE)
+    if here.equal < _LATE_WRONG:
         return None
     if here.equal > _WRONG and here.rest < _EXPLAINED and here.differs(rest=_EXPLAINED, angle_deg=30.0, scale=2.0):
         return Cause(_words(here), since_s, _ADVICE)
@@ -52,6 +58,11 @@ def pulled(imu: Stream, poses: Stream) -> Cause | None:
         what = "its attitude does not fit: with it the accelerometer contradicts its positions"
         return Cause(what, since_s, "give the attitude of the body, or mark it as not given (variance of 10 rad^2)")
     return None
+
+
+def _scaled(found: Relation) -> bool:
+    """Is the scale, which noise makes smaller by up to 1 - rest, another?"""
+    return found.scale > _SCALE or found.scale < (1.0 - found.rest) / _SCALE
 
 
 def _equal(imu: Stream, poses: Stream, late_s: float) -> float:
@@ -69,7 +80,7 @@ def _words(found: Relation) -> str:
     if found.mirrored or found.angle_deg > 30.0:
         how = "mirrored" if found.mirrored else f"turned by {found.angle_deg:.0f} degrees"
         return f"its positions are {how} against the accelerometer"
-    return f"its positions, against the accelerometer, are {of_scale(found.scale)}"
+    return f"its positions, against the accelerometer, are {of_scale(found.scale, found.rest)}"
 
 
 def _changes(imu: Stream, poses: Stream, late_s: float = 0.0) -> tuple[Array, Array, Array] | None:

@@ -14,6 +14,14 @@ _STEP_S: Final = 0.4  # between the attitudes that are compared, at least
 _LONGEST_S: Final = 2.0
 _LEAST_STEPS: Final = 20
 _LEAST_RAD: Final = 0.06  # RMS of a step's turn; noise of a fix is 0.02
+_SAME: Final = 0.35  # share of the turns that equality leaves
+_LATE_S: Final = [s for s in np.arange(-1.5, 1.55, 0.1) if abs(s) > 0.25]
+_OFFSET_RAD_S: Final = 0.12  # biases of small gyroscopes are less
+_ORDERS: Final = (
+    ((1.0, 1.0, 1.0, 1.0), [3, 0, 1, 2], "its quaternions are in the order x, y, z, w"),
+    ((1.0, -1.0, -1.0, -1.0), [0, 1, 2, 3], "its attitude is inverse, that of the world in the body"),
+    ((1.0, -1.0, -1.0, -1.0), [3, 0, 1, 2], "its quaternions are in the order x, y, z, w, and inverse"),
+)
 _FIELD_STEP_S: Final = 0.4
 _FIELD_REST: Final = 0.5  # of the field's changes, that the right axes leave
 _FIELD_GAIN: Final = 0.5
@@ -41,6 +49,44 @@ class Turned:
 
 def attitude_relation(turned: Turned, stream: Stream) -> Relation | None:
     """log(q_i^-1 q_i+1) by the gyroscope's integral; None: too little turning."""
+    turns = _turns(turned, stream)
+    return None if turns is None else relation(*turns[:2])
+
+
+def reordered(turned: Turned, stream: Stream) -> Cause | None:
+    """Quaternions that fit the gyroscope in another order, or inverse."""
+    for sign, order, what in _ORDERS:
+        q = stream.values[:, -4:][:, order] * sign
+        found = attitude_relation(turned, stream._replace(values=np.hstack([stream.values[:, :-4], q])))
+        if found is not None and found.equal < _SAME:
+            return Cause(what, float(stream.arrived_s[0]), "give w first, and the attitude of the body in the world")
+    return None
+
+
+def late(turned: Turned, stream: Stream, equal: float) -> Cause | None:
+    """Attitudes that fit the gyroscope at other times, of which equality leaves less than half."""
+    tried = [(s, attitude_relation(turned, stream._replace(t_s=stream.t_s - s))) for s in _LATE_S]
+    late_s, best = min(((s, r.equal) for s, r in tried if r is not None), key=lambda item: item[1], default=(0.0, np.inf))
+    if best > min(_SAME, 0.5 * equal):
+        return None
+    what = f"its stamps are {abs(late_s):.1f} s {'late' if late_s > 0.0 else 'early'} against the gyroscope"
+    return Cause(what, float(stream.arrived_s[0]), "set its delay_s, or mend the stamps")
+
+
+def offset(turned: Turned, stream: Stream) -> Array | None:
+    """Mean of (log(q_i^-1 q_i+1) - turn) / h, (3,) rad/s; None: nothing out of the ordinary."""
+    turns = _turns(turned, stream)
+    if turns is None:
+        return None
+    a, b, h = turns
+    mean = np.asarray(np.median((b - a) / h[:, None], axis=0))
+    spread = 1.5 * np.median(np.abs((b - a) / h[:, None] - mean), axis=0) / np.sqrt(len(h))
+    far = np.linalg.norm(mean) > _OFFSET_RAD_S and np.linalg.norm(mean) > 5.0 * np.linalg.norm(spread)
+    return -mean if far else None
+
+
+def _turns(turned: Turned, stream: Stream) -> tuple[Array, Array, Array] | None:
+    """The gyroscope's turns, the stream's (n, 3) rad, their durations (n,) s."""
     ordered = stream.in_order()
     rows = _apart(ordered.t_s, _STEP_S)
     if len(rows) < _LEAST_STEPS:
@@ -51,12 +97,12 @@ def attitude_relation(turned: Turned, stream: Stream) -> Relation | None:
     t = ordered.t_s[rows]
     R = Rotation.from_quat(q[:, [1, 2, 3, 0]])
     b = (R[:-1].inv() * R[1:]).as_rotvec()
-    a = np.diff(turned.at(t), axis=0)
-    near = (np.diff(t) < _LONGEST_S) & np.isfinite(a).all(axis=1) & (np.linalg.norm(b, axis=1) < 2.0)
+    a, h = np.diff(turned.at(t), axis=0), np.diff(t)
+    near = (h < _LONGEST_S) & np.isfinite(a).all(axis=1) & (np.linalg.norm(b, axis=1) < 2.0)
     a, b = a[near], b[near]
     if len(a) < _LEAST_STEPS or np.sqrt(np.mean(np.sum(b**2, axis=1))) < _LEAST_RAD:
         return None
-    return relation(a, b)
+    return a, b, h[near]
 
 
 def misturned(found: Relation, stream: Stream, name: str) -> Cause | None:

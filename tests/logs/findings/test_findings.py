@@ -157,6 +157,46 @@ def _not_a_number(s: Stream, rng: np.random.Generator) -> tuple[Stream, str]:
     return s._replace(values=values), words
 
 
+def _twice(s: Stream, _: np.random.Generator) -> tuple[Stream, str]:
+    return Stream(s.kind, *(np.repeat(x, 2, axis=0) for x in s[1:])), "comes 2 times"
+
+
+def _jitter(s: Stream, rng: np.random.Generator) -> tuple[Stream, str]:
+    return s._replace(t_s=s.t_s + rng.normal(scale=0.03, size=len(s.t_s))), "stamps go back"
+
+
+def _lost(s: Stream, rng: np.random.Generator) -> tuple[Stream, str]:
+    rows = rng.random(len(s.t_s)) > 0.4
+    return Stream(s.kind, *(x[rows] for x in s[1:])), "of its samples are missing"
+
+
+def _offset(s: Stream, _: np.random.Generator) -> tuple[Stream, str]:
+    return s._replace(values=np.add(s.values, [0.1, -0.1, 0.2, 0.0, 0.0, 0.0])), "its gyroscope is off by (0.1"
+
+
+def _moved(s: Stream, rng: np.random.Generator) -> tuple[Stream, str]:
+    away = rng.choice([-1.0, 1.0], 2) * ([1e-3, 1e-3] if s.kind == FIX else [30.0, 40.0])
+    values = s.values.copy()
+    values[s.t_s > 17.0, :2] += away
+    return s._replace(values=values), "jump by"
+
+
+def _outliers(s: Stream, rng: np.random.Generator) -> tuple[Stream, str]:
+    values = s.values.copy()
+    values[10::10, 0] += rng.normal(scale=5e-3, size=len(values[10::10]))
+    return s._replace(values=values), "jump to and fro"
+
+
+def _runs_away(s: Stream, _: np.random.Generator) -> tuple[Stream, str]:
+    values = s.values.copy()
+    values[:, 0] += 3e-5 * np.maximum(s.t_s - 20.0, 0.0)
+    return s._replace(values=values), "run away from /gnss/velocity"
+
+
+def _inverse(s: Stream, _: np.random.Generator) -> tuple[Stream, str]:
+    return s._replace(values=s.values * [1.0, 1.0, 1.0, 1.0, -1.0, -1.0, -1.0]), "inverse"
+
+
 ONE, DEG = [1.0] * 3, 57.29578
 FAULTS = [
     *(("/imu", f) for f in (_step, _speed, _wrap, _nanoseconds, _ahead, _batched, _digits, _dead, _stuck, _silent)),
@@ -165,6 +205,24 @@ FAULTS = [
     *(("/odometry", f) for f in (_step, _stuck, _camera)),
     *((topic, _stuck) for topic in ("/mag", "/baro", "/gnss/velocity")),
     *((topic, _not_a_number) for topic in RATES),
+    *((topic, _twice) for topic in ("/imu", "/gnss", "/gnss/velocity")),
+    *(("/imu", f) for f in (_jitter, _lost, _offset)),
+    *(("/gnss", f) for f in (_moved, _outliers, _runs_away)),
+    *((topic, _inverse) for topic in ("/pose_fix", "/odometry")),
+    ("/pose_fix", _moved),
+    ("/pose_fix", _of_columns([0, 1, 2, 4, 5, 6, 3], "x, y, z, w")),
+    ("/pose_fix", _of([1.0] * 3 + [DEG] * 4, "a length of 57.3")),
+    ("/odometry", _of([2.0] * 3 + [1.0] * 4, "times too large")),
+    ("/imu", _of(ONE + [1.15] * 3, "its accelerometer contradicts")),
+    ("/gnss", _of([1e7] * 2 + [1.0] * 2, "no degrees")),
+    ("/gnss", _of([1.0] * 2 + [1000.0, 1.0], "its height is 5")),
+    ("/gnss", _of([*ONE, 1e-4], "reports an accuracy of")),
+    ("/gnss", lambda s, _: (s._replace(values=np.hstack([np.round(s.values[:, :2], 4), s.values[:, 2:]])), "rounded to 11 m")),
+    ("/gnss/velocity", _of([1.0, 1.0, -1.0], "falls where it rises")),
+    ("/gnss/velocity", _of([0.0] * 3, "all its readings are 0 while")),
+    ("/gnss/velocity", lambda s, _: (s._replace(values=np.abs(s.values[:, :1]) * [1.0, 0.0, 0.0]), "body's axes")),
+    ("/baro", lambda s, _: (s._replace(values=s.values + 500.0 * (s.t_s[:, None] > 17.0)), "its pressure jumps by +49")),
+    ("/mag", _of([1.0, 0.0, 1.0], "its y axis reads 0")),
     ("/imu", _of([DEG] * 3 + ONE, "deg/s")),
     ("/imu", _of(ONE + [1.0 / GRAVITY] * 3, "it is in g")),
     ("/imu", _of([1.0, -1.0, -1.0] * 2, "other convention")),
@@ -291,3 +349,17 @@ def test_whatever_the_numbers_are_it_comes_to_an_end(seed: int) -> None:
         streams[topic] = Stream(s.kind, t_s[:n], s.arrived_s[:n], values[:n])
     with np.errstate(all="ignore"):
         assert all(str(finding) for finding in _found(streams))
+
+
+def test_a_gyroscope_or_an_accelerometer_that_is_off_at_rest_is_named() -> None:
+    rng = np.random.default_rng(0)
+    t = np.arange(0.0, 20.0, 0.01)
+    values = rng.normal(scale=0.01, size=(len(t), 6)) - [0.0, 0.0, 0.0, 0.0, 0.0, GRAVITY]
+    for offset, words in (
+        ([0.2, 0, 0, 0, 0, 0], "gravity does not turn"),
+        ([0, 0, 0, 0, 0, -1.0], "10.81 m/s^2 at rest"),
+        ([0] * 6, ""),
+    ):
+        found = [f for _, f in judged({"/imu": Stream(IMU, t, t + 0.01, values + offset)}, ORIGIN)]
+        assert [f.what for f in found if not words or words not in f.what] == []
+        assert bool(found) == bool(words)
