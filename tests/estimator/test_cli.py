@@ -164,6 +164,11 @@ def test_usage_errors_have_no_words_of_a_library(args: list[str]) -> None:
     assert not re.search("Value error|Input should|parse string", done.stderr)
 
 
+@pytest.mark.parametrize("args", [["replay"], ["forecast"], ["import"], ["live"], ["map", "build"], ["fleet", "run"]])
+def test_help_has_no_types_of_python(args: list[str]) -> None:
+    assert re.findall(r"list\[| range>|<str|[{}]|\[\[", run(*args, "--help").stdout) == []
+
+
 @pytest.mark.parametrize("group", [[], ["map"], ["fleet"], ["calibrate"], ["bench"]])
 def test_no_line_of_the_help_is_cut(group: list[str]) -> None:
     listed = run(*group, "--help").stdout.partition("Options:")[2]

@@ -156,6 +156,7 @@ def test_with_no_log_it_starts_where_it_is_told_and_flies_and_both_examples_work
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.long
 def test_an_oversized_message_is_refused_and_the_flight_goes_on(tmp_path: Path) -> None:
     port = free_port()
     text = toml(tmp_path, port, zenoh_keys="largest_image_mb = 1")

@@ -60,6 +60,7 @@ def test_ground_that_is_known_is_found(models: Learned) -> None:
     assert squared < 33.7  # chi-square of 6, 1e-5
 
 
+@pytest.mark.long
 def test_a_video_is_found_in_an_orthophoto_of_another_date_and_in_no_wrong_one(models: Learned, landfix_data: Path) -> None:
     """The map turned by half a turn, mirrored, and 200 m aside."""
     landmarks, registered, rig = nust.landmark_map(), nust.registrations(landfix_data), nadir_rig(nust.camera())

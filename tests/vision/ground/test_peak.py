@@ -9,6 +9,7 @@ from scipy.stats import chi2
 from models import so3
 from models.messages import Array
 from models.prior import Prior
+from tests import long
 from tests.vision.ground import scene
 from vision.ground.image import GroundImage, Heights
 from vision.ground.orientation import coefficient, directions
@@ -50,7 +51,7 @@ def test_the_peak_is_a_partial_fix_whose_covariance_holds() -> None:
     assert 0.05 < np.mean(alone) / 2.0 < 1.4
 
 
-@pytest.mark.parametrize("decoy", ["turned", "another place", "another ground"])
+@long.parametrize("decoy", ["turned", "another place", "another ground"])
 def test_a_wrong_map_has_no_such_peak(decoy: str) -> None:
     for seed in range(12):
         ground = scene.drawing(seed)

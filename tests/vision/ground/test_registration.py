@@ -10,6 +10,7 @@ from scipy.stats import chi2
 from models import so3
 from models.messages import Array
 from models.prior import Prior
+from tests import long
 from tests.vision.ground import scene
 from vision.ground.image import GroundImage, Heights, pyramid
 from vision.ground.registration import Registered, register
@@ -32,7 +33,7 @@ def _error(p_n: Array, R_nb: Array, of_p: Array, of_R: Array) -> Array:
     return difference(p_n, R_nb, of_p, so3.from_matrix(np.ascontiguousarray(of_R)))
 
 
-@pytest.mark.parametrize("season", [0, 1])
+@long.parametrize("season", [0, 1])
 def test_every_pose_is_found_and_its_covariance_is_true(season: int) -> None:
     squared, alone = [], []
     for seed in range(12):
@@ -67,7 +68,7 @@ def test_a_camera_that_looks_ahead() -> None:
         assert np.linalg.norm(found.pose.joint_p_n - p_n) < 0.8
 
 
-@pytest.mark.parametrize("decoy", ["turned", "another place", "another ground"])
+@long.parametrize("decoy", ["turned", "another place", "another ground"])
 def test_a_wrong_map_is_refused(decoy: str) -> None:
     for seed in range(12):
         rng = np.random.default_rng(seed)

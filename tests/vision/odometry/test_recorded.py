@@ -25,6 +25,7 @@ def test_handheld() -> None:
     assert (scored.nees < 16.3 / 3).all()
 
 
+@pytest.mark.long
 def test_car() -> None:
     """KITTI 06: 60 m straight on; the constant scale that is known of the set."""
     scored = run(sets.kitti06().every(2))

@@ -2,11 +2,14 @@
 
 from pathlib import Path
 
+import pytest
+
 from estimator.config import parse
 from estimator.replay.replay import replay
 from tests.estimator.service.flying import client, fly, free_port, in_thread, logs_of, said, toml, until
 
 
+@pytest.mark.long
 def test_the_parts_of_a_flight_replay_to_what_was_flown(tmp_path: Path) -> None:
     port = free_port()
     text = toml(tmp_path, port, more="rotate_mb = 0.05")

@@ -17,6 +17,7 @@ from logs.wire.codec import encode, encode_input
 from models.messages import Estimate, Health, ImageName, LandmarkFix, Mode, VisionRequest, vec3
 from models.sim.scenario import EPOCH_NS
 from models.state import E, X
+from tests import long
 from tests.estimator.scenes import SECOND
 from tests.estimator.sights import PLACE, SEEN_S, village
 from vision.show.overlay import in_view
@@ -79,7 +80,7 @@ def _in_sight() -> list[str]:
     return [mark.id for mark in in_view(seen.rig.left, p_nc, R_nc, seen.map.near(0.0, 0.0, 150.0))]
 
 
-@pytest.mark.parametrize("east_m", [0.0, 0.5])
+@long.parametrize("east_m", [0.5, 0.0])
 def test_the_residual_is_the_error_of_the_estimate(tmp_path: Path, east_m: float) -> None:
     """0.5 m at 75 m are f / 75 / 2 px along the normals of half the edges, and nothing along the others."""
     said = _numbers(_write(tmp_path / "a.mcap", east_m))
@@ -97,7 +98,7 @@ def test_the_residual_is_the_error_of_the_estimate(tmp_path: Path, east_m: float
         assert 0.7 < ratio * expected_px / residual["median"] < 1.2
 
 
-@pytest.mark.parametrize("sigma_m", [0.2, 1.0])
+@long.parametrize("sigma_m", [1.0, 0.2])
 def test_edges_are_looked_for_as_far_as_the_estimate_may_be_off(tmp_path: Path, sigma_m: float) -> None:
     """1.5 m are 14 px: beyond 3 sigma of an overconfident filter, found where it is consistent."""
     residual = _numbers(_write(tmp_path / "a.mcap", 1.5, sigma_m))["residual_px"]
@@ -132,6 +133,7 @@ def test_the_video_plays_with_map_and_strip_in_it(tmp_path: Path) -> None:
     assert green[0] > green[1] + 200, "only the first image has a fix"
 
 
+@pytest.mark.long
 def test_only_what_fixes_used_is_measured_unless_all_is_asked_for(tmp_path: Path) -> None:
     marks = _in_sight()
     log = _write(tmp_path / "a.mcap", identified=(marks[0],))
