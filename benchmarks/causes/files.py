@@ -1,5 +1,6 @@
 """Faults of files: each a change of the bytes of one small log, that `landfix import` is then given."""
 
+import gzip
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -70,6 +71,8 @@ _EMPTY: Final = ("is empty", "seems to be empty")
 _OTHER: Final = {
     "ulog": "not a PX4 log", "dataflash": "not an ArduPilot", "tlog": "not a MAVLink", "bag": "cannot be read as a ROS 1 bag",
 }  # fmt: skip
+_POINTER: Final = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a2146\nsize 12345\n"
+_PAGE: Final = b"<!DOCTYPE html>\n<html><head><title>404 Not Found</title></head></html>\n"
 _FILES: Final = {"ulog": "a.ulg", "dataflash": "a.bin", "tlog": "a.tlog", "bag": "a.bag"}
 FILE_FAULTS: Final[dict[str, FileFault]] = {
     "csv empty": FileFault("csv", "imu.csv", lambda _d, _r: b"", ("is empty",)),
@@ -78,7 +81,8 @@ FILE_FAULTS: Final[dict[str, FileFault]] = {
     "csv semicolons": FileFault("csv", "imu.csv", lambda d, _: d.replace(b",", b";"), ("separated by",)),
     "csv decimal commas": FileFault("csv", "imu.csv", lambda d, _: d.replace(b",", b";").replace(b".", b","), ("separated by",)),
     "csv utf-16": FileFault("csv", "imu.csv", lambda d, _: d.decode().encode("utf-16"), _NO_TEXT),
-    "csv a spreadsheet": FileFault("csv", "imu.csv", lambda _d, r: b"PK\x03\x04" + r.bytes(5000), _NO_TEXT),
+    "csv a spreadsheet": FileFault("csv", "imu.csv", lambda _d, r: b"PK\x03\x04" + r.bytes(5000), ("a spreadsheet",)),
+    "csv blanks": FileFault("csv", "imu.csv", lambda d, _: d.replace(b",", b" "), ("separated by",)),
     "csv column missing": FileFault("csv", "imu.csv", _lines(_without_column), ("no column for",)),
     "csv words for numbers": FileFault("csv", "imu.csv", _lines(_words_in_column), ("no number in the column",)),
     "csv cut": FileFault("csv", "imu.csv", _cut, _TORN),
@@ -97,6 +101,10 @@ FILE_FAULTS: Final[dict[str, FileFault]] = {
     "ulog cut": FileFault("ulog", "a.ulg", _cut, _TORN),
     "bag cut": FileFault("bag", "a.bag", _cut, _TORN),
     "bag damaged": FileFault("bag", "a.bag", _damaged, _TORN),
+    **{f"{kind} {name}": FileFault(kind, file, change, (words,)) for kind, file in _FILES.items()
+       for name, change, words in (("a pointer", lambda _d, _r: _POINTER, "Git LFS pointer"),
+                                   ("a web page", lambda _d, _r: _PAGE, "a web page"),
+                                   ("packed", lambda d, _: gzip.compress(d), "packed by gzip"))},
     **{f"{kind} empty": FileFault(kind, file, lambda _d, _r: b"", _EMPTY) for kind, file in _FILES.items()},
     **{f"{kind} of another program": FileFault(kind, file, lambda _d, r: r.bytes(5000), (_OTHER[kind],))
        for kind, file in _FILES.items()},

@@ -102,7 +102,7 @@ def _turns(streams: Streams, name: str, imu: Stream) -> Iterator[tuple[str, str,
             )
         return
     for n, found in bad.items():
-        if cause := turning.misturned(found, streams[n], name):
+        if cause := turning.reordered(turned, streams[n], found.rest) or turning.misturned(found, streams[n], name):
             yield n, "turn", cause
     yield from _against(name, imu, {n: s for n, s in streams.items() if n in related and n not in bad}, turned, related)
     for n, s in streams.items():

@@ -53,12 +53,12 @@ def attitude_relation(turned: Turned, stream: Stream) -> Relation | None:
     return None if turns is None else relation(*turns[:2])
 
 
-def reordered(turned: Turned, stream: Stream) -> Cause | None:
-    """Quaternions that fit the gyroscope in another order, or inverse."""
+def reordered(turned: Turned, stream: Stream, most: float = _SAME) -> Cause | None:
+    """Quaternions that fit the gyroscope in another order, or inverse; most: share of the turns left so."""
     for sign, order, what in _ORDERS:
         q = stream.values[:, -4:][:, order] * sign
         found = attitude_relation(turned, stream._replace(values=np.hstack([stream.values[:, :-4], q])))
-        if found is not None and found.equal < _SAME:
+        if found is not None and found.equal < min(most, _SAME):
             return Cause(what, float(stream.arrived_s[0]), "give w first, and the attitude of the body in the world")
     return None
 

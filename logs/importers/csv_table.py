@@ -16,6 +16,7 @@ from logs.store.reader import LogError
 from models.frames import GRAVITY
 from models.messages import Array
 from models.untrusted.file import content
+from models.untrusted.foreign import HEAD_BYTES, foreign
 from models.untrusted.gzip import GzipFile
 
 DEG = np.pi / 180.0
@@ -27,7 +28,7 @@ _ARRIVAL = ("arrived", "arrival", "t_arrived")
 _TIME_UNITS = {"_s": 10**9, "_sec": 10**9, "_ms": 10**6, "_us": 10**3, "_ns": 1, "": 0}  # ns; 0: by its size
 
 
-_SEPARATORS = {"\t": "tabs", ";": "semicolons"}
+_SEPARATORS = {"\t": "tabs", ";": "semicolons", " ": "blanks"}
 _DAY_NS, _MINUTE_NS = 86_400 * 10**9, 60 * 10**9
 
 
@@ -114,6 +115,8 @@ def read_table(path: Path, t0_ns: int | None = None) -> Table:
     """The table of a CSV file; relative stamps from t0_ns (None: EPOCH_NS). Raises LogError."""
     text, torn = _text(path)
     lines = text.splitlines()
+    while len(lines) > 1 and lines[0].startswith("#") and lines[0].count(",") != lines[1].count(","):
+        lines = lines[1:]  # a remark above the header
     if not lines:
         raise LogError(f"{path.name}: the file is empty")
     if "," not in lines[0] and (other := next((word for mark, word in _SEPARATORS.items() if mark in lines[0]), "")):
@@ -183,8 +186,10 @@ def _text(path: Path) -> tuple[str, bool]:
         raise LogError(f"{path}: {error.strerror}") from None
     except ValueError as error:
         raise LogError(f"{path.name}: {error}") from None
+    if what := foreign((data or b"")[:HEAD_BYTES]):
+        raise LogError(f"{path.name}: {what}")
     try:
-        return (data or b"").decode("utf-8-sig"), torn
+        return (data or b"").decode("utf-8-sig").replace('"', ""), torn
     except UnicodeDecodeError:
         raise LogError(f"{path.name}: not a CSV text file") from None
 

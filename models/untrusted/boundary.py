@@ -16,7 +16,9 @@ def refusing(error: type[Exception], name: object, *passed: type[Exception]) -> 
     try:
         with np.errstate(all="ignore"):  # numbers that overflow are checked where they are used
             yield
-    except (error, *passed):
+    except (error, *passed) as failure:
+        if isinstance(failure, error) and not (said := str(failure)).isprintable():
+            raise error(one_line(said, 2000)) from None
         raise
     except MemoryError:
         raise error(f"{name}: declares more content than fits into memory") from None

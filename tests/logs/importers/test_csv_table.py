@@ -164,3 +164,11 @@ def test_names_of_rostopic_echo(tmp_path: Path) -> None:
 def test_a_file_without_a_header_is_refused_in_words(tmp_path: Path, line: str) -> None:
     with pytest.raises(LogError, match=r"imu\.csv: no header"):
         table(tmp_path, f"{line}\n{line}\n")
+
+
+def test_quotes_and_a_remark_above_the_header_are_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "imu.csv"
+    path.write_text('# flown by hand\n"t_s","gx_rad_s"\n"0.00","1.5"\n"0.01","2.5"\n')
+    table = read_table(path)
+    assert table.names == ("t_s", "gx_rad_s")
+    assert table.values[:, 1].tolist() == [1.5, 2.5]
