@@ -119,8 +119,10 @@ class Tracker:
             widen_unaligned(cov, bank, core.config.initialise)
         if core.variance_factor.lasting > core.variance_factor.value:
             cov *= core.variance_factor.lasting / core.variance_factor.value
+        lead = bank.members[0]
+        if lead.past:
+            cov[E.P, E.P] += lead.past.added(lead.fused_ns)
         if core.conflicts.apart:
-            lead = bank.members[0]
             contradicted = len(core.absolute & lead.rejected) + lead.doubts_imu  # by how many witnesses
             cov[E.P, E.P] += core.conflicts.added(is_decided=core.is_aligned and contradicted < _MAJORITY)
         if self.late_cov is not None:
@@ -147,7 +149,9 @@ class Tracker:
         """The covariance shown is the mixture of the hypotheses."""
         core, factor = self.core, self.core.variance_factor
         is_plain = core.is_aligned and not core.conflicts.apart and self.alignment.without_sensor is None
-        return is_plain and not factor.lasting > factor.value and not any(step.followed for step in self.speed_steps.values())
+        steps = any(step.followed for step in self.speed_steps.values())
+        has_past = self.alignment.bank is not None and self.alignment.bank.members[0].past is not None
+        return is_plain and not has_past and not factor.lasting > factor.value and not steps
 
     @property
     def limits(self) -> tuple[float, float, float, float]:

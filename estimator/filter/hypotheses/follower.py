@@ -16,7 +16,7 @@ from estimator.sources.base.faults import lasts_s
 from models import imu
 from models.measurements import Measurement
 from models.messages import Array
-from models.state import E
+from models.state import E, X
 
 AGAIN_S = 0.4  # a fix that is refused again costs 1 / AGAIN_S a second, ln
 _RECEIVER_S = 2.0  # the same of a receiver alone, whose readings share their error: a barometer has its say
@@ -57,9 +57,10 @@ def begin(lead: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, limit: floa
     other.weight = behind(lead, aid, vouched=vouched, by_imu=by_imu)
     is_first = aid.topic not in lead.doubts  # that is refused: it may be the true one
     other.benefit = max(-other.weight - _SEEN, 0.0) if is_first else -_UNSEEN
+    eskf.update(seen)
+    other.note_jump(lead.filter.x[X.P], aid.t_ns, lead.fused_ns)
     other.fused_ns = other.run_ns = other.parted_ns = aid.t_ns
     other.run = 1
-    eskf.update(seen)
     return other
 
 
@@ -85,7 +86,7 @@ def again_s(lead: Hypothesis, aid: Aid, *, vouched: bool) -> float:
     others = any(topic != aid.topic and not topic.startswith(own) for topic in lead.doubts)
     if vouched and not others:
         return max(lasts_s(aid.kind), AGAIN_S)
-    return AGAIN_S if aid.log_misled is None else _RECEIVER_S
+    return AGAIN_S if others or aid.log_misled is None else _RECEIVER_S
 
 
 def raise_alternative(members: list[Hypothesis], aid: Aid, fused: list[bool], *, vouched: bool) -> None:

@@ -242,7 +242,8 @@ class Hypotheses:
         aid, seen, passed, again = e.aid, e.seen[k], e.passed[k], e.again[k]
         member, doubt = self.members[k], self.members[k].doubts.get(aid.topic)
         true = seen.log_likelihood
-        if (k > 0 or not passed) and aid.receiver in member.doubts and e.by_receiver > -math.inf:
+        is_alone = bool(member.doubts.keys() - {aid.topic, aid.receiver})  # it refuses others, too
+        if (k > 0 or not passed or is_alone) and aid.receiver in member.doubts and e.by_receiver > -math.inf:
             member.weight += max(e.by_receiver, aid.log_false)
             return False
         foretold = not aid.absolute and again is not None and again > true + MARGIN
@@ -262,9 +263,13 @@ class Hypotheses:
                 sceptic.doubts[aid.topic] = Doubt(aid.t_ns, deliberate=True)
                 born.append(sceptic)
             member.weight += true
-            if member.doubts.pop(aid.topic, None):
-                member.benefit = 0.0
+            before_n = member.filter.x[X.P].copy()
             member.filter.update(seen)
+            if doubt:
+                del member.doubts[aid.topic]
+                member.benefit = 0.0
+                if aid.absolute:
+                    member.note_jump(before_n, aid.t_ns, doubt.last_ns)
             if aid.absolute:
                 member.note_fused(aid.t_ns)
                 if aid.log_misled is not None:

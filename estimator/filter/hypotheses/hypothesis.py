@@ -1,23 +1,27 @@
 """A filter with the logarithm of its weight, and what it takes for false."""
 
 import math
+from typing import NamedTuple
 
 import msgspec
+import numpy as np
 from msgspec.structs import replace
 
 from estimator.filter.eskf import Eskf
 from models import imu
 from models.messages import Array
+from models.state import E, X
 
 IMU_WRONG, RECEIVER_WRONG, FIX_FALSE, POSITION_WRONG = "IMU wrong", "receiver wrong", "fix false", "position wrong"
 MARGIN = 3.0  # ln: by which another must be better
 FORGET = 20.0  # ln: further behind the leading one than this, a hypothesis is dropped
 _SHOWS = 9.2  # ln 10,000: further behind, the covariance leaves it out; a gate refuses one in as many good readings
 _SETTLED_S = 20.0  # a hypothesis that has agreed with the leading one for so long goes
-_RUN_ENDS_S = 5.0  # without a fix for so long, a run of consistent fixes ends
+RUN_ENDS_S = 5.0  # without a fix for so long, a run of consistent fixes ends
 _MORE = 3  # a run of fixes wins that is longer by so many of them
 _LEAST_IMU_S, _LEAST_S = 3.0, 4.5  # and lasts for so long at least: where a wrong IMU explains them, where nothing does
 _ENOUGH_S, _ENOUGH = 5.0, 11  # longer than both, it wins against any other one
+_LEAST_SHARE, _TWO_SIGMA = 0.1, 2.0  # a contradicted run matters whose share in both is larger; a jump that is further
 _PERIOD_S = 2.0  # between fixes, where it is not known
 
 
@@ -28,6 +32,26 @@ class Doubt(msgspec.Struct):
     deliberate: bool
 
 
+class Past(NamedTuple):
+    """A run of run_s whose fixes the next ones contradict since since_ns by a jump off (3,) [m] that no IMU explains.
+
+    o = off t / (t + t'): their mean, weighted by the durations t, t' of the two runs, is so far away. In the covariance: o o^T.
+    """
+
+    off: Array
+    run_s: float
+    since_ns: int
+
+    def share(self, t_ns: int) -> float:
+        """t / (t + t')."""
+        return self.run_s / (self.run_s + (t_ns - self.since_ns) * 1e-9)
+
+    def added(self, t_ns: int) -> Array:
+        """To the covariance of the position, (3, 3)."""
+        off = self.share(t_ns) * self.off
+        return np.outer(off, off)
+
+
 class Hypothesis(msgspec.Struct, eq=False):
     """One filter and the logarithm of its weight.
 
@@ -35,7 +59,7 @@ class Hypothesis(msgspec.Struct, eq=False):
     leading one; doubts: false sources by topic; benefit: ln, added weight of a sceptic in the covariance; without: receiver left
     out for good; least: ln, lower bound of the weight; decided: topics rejected since a won conflict; receiver: last fused, and
     its ln(1 - trust); begun_at_fix: unconfirmed; refuted_ns: last refutation of such; agreed_ns: since when the omitted receiver
-    passes; right: constants of a right IMU, where it is taken for wrong.
+    passes; right: constants of a right IMU, where it is taken for wrong; past: where an earlier run of fixes had it.
     """
 
     filter: Eskf
@@ -54,6 +78,7 @@ class Hypothesis(msgspec.Struct, eq=False):
     refuted_ns: int = -(2**62)
     agreed_ns: int | None = None
     right: Array | None = None
+    past: "Past | None" = None
 
     def copy(self) -> "Hypothesis":
         """An independent hypothesis in the same state."""
@@ -72,10 +97,20 @@ class Hypothesis(msgspec.Struct, eq=False):
 
     def note_fused(self, t_ns: int) -> None:
         """A position was fused."""
-        if not self.run or (t_ns - self.fused_ns) * 1e-9 > _RUN_ENDS_S:
+        if not self.run or (t_ns - self.fused_ns) * 1e-9 > RUN_ENDS_S:
             self.run, self.run_ns = 0, t_ns
         self.run += 1
         self.fused_ns = t_ns
+        if self.past and self.past.share(t_ns) < _LEAST_SHARE:
+            self.past = None
+
+    def note_jump(self, from_n: Array, t_ns: int, last_ns: int) -> None:
+        """A fix that its last ones, until last_ns, contradict has moved it from from_n (3,) [m], by more than two sigma."""
+        run_s, off = (self.fused_ns - self.run_ns) * 1e-9, from_n - self.filter.x[X.P]
+        covered = _TWO_SIGMA**2 * self.filter.variance_factor * self.filter.cov[E.P, E.P].trace()
+        covered += self.past.added(t_ns).trace() if self.past else 0.0
+        if run_s > 0.0 and (t_ns - last_ns) * 1e-9 < RUN_ENDS_S and off @ off > covered:
+            self.past = Past(off, run_s, t_ns)
 
     @property
     def rejected(self) -> set[str]:

@@ -8,7 +8,7 @@ velocities not before. (Solution separation: Blanch et al. 2015, sec. IV.)
 import numpy as np
 
 from estimator.filter.eskf import Innovation
-from estimator.filter.hypotheses.hypothesis import Doubt, Hypothesis
+from estimator.filter.hypotheses.hypothesis import RUN_ENDS_S, Doubt, Hypothesis
 from estimator.filter.hypotheses.innovation import innovation
 from estimator.sources.base.aid import Aid
 from models.measurements import Measurement
@@ -75,9 +75,13 @@ def is_confirmed(lead: Hypothesis, aid: Aid) -> bool:
 def end(lead: Hypothesis, aid: Aid, *, passed: bool) -> None:
     """Use the receiver again once its positions pass the leading hypothesis' gate without a break.
 
-    The first suffices where nothing else confirms it.
+    The first suffices where nothing else confirms it; where all else is refused, its readings are evidence again.
     """
     if not aid.absolute or lead.without != aid.topic:
+        return
+    if not passed and lead.rejected - {lead.without} and (aid.t_ns - lead.fused_ns) * 1e-9 > RUN_ENDS_S:
+        lead.without, lead.agreed_ns = "", None
+        lead.doubts[aid.topic] = Doubt(aid.t_ns, deliberate=False)
         return
     lead.agreed_ns = (aid.t_ns if lead.agreed_ns is None else lead.agreed_ns) if passed else None
     if lead.agreed_ns is None:

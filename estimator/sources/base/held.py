@@ -20,11 +20,9 @@ _NAMES = ("gyroscope x", "gyroscope y", "gyroscope z", "accelerometer x", "accel
 
 
 def content(z: Measurement, other: bytes) -> bytes:
-    """Compared value without accuracy."""
+    """Compared value without accuracy; a held position beside a live attitude is held, too."""
     match z:
-        case Pose():
-            return z.z_n.tobytes() + z.q_nb_wxyz.tobytes()
-        case Position() | Velocity():
+        case Pose() | Position() | Velocity():
             return z.z_n.tobytes()
         case _:
             return other
