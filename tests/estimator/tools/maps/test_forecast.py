@@ -68,7 +68,7 @@ def test_equal_houses_give_no_fix_once_the_radius_is_half_their_distance() -> No
 
 def test_the_limit_decides_what_is_fit() -> None:
     the_map = houses(lambda k: 9.0 + 1.6 * k)
-    short = fly(places((0.0, 0.0), (350.0, 0.0)), Origin(*ORIGIN), 80.0, 8.0)
+    short = fly(places((0.0, 0.0), (160.0, 0.0)), Origin(*ORIGIN), 80.0, 8.0)
     assert forecast(the_map, short, Config().fusion(), Camera(found=1.0), 20.0).fit
     assert not forecast(the_map, short, Config().fusion(), Camera(found=1.0), 0.5).fit
 
