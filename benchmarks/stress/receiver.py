@@ -3,7 +3,7 @@
 python -m benchmarks.stress.receiver --resume                      all cells (an hour of one core)
 python -m benchmarks.stress.receiver --cells "720 m" --resume
 
-Simulated flights of 100 s, GNSS at 5 Hz, aligned by fixes in the first 6 s; then none, or one each 20 s. From 15 s on: jam:
+Simulated flights of 80 s, GNSS at 5 Hz, aligned by fixes in the first 6 s; then none, or one each 20 s. From 15 s on: jam:
 noise of 10 m and 3 m/s at the usual claim; step: its speed by 2 m/s, positions along; pull: by 0.5 m/s; 720 m: none for 20 s,
 then so far off. The receiver flags it from there on, or does not.
 """
@@ -31,7 +31,7 @@ from models.sim.sensors import Imu
 
 CELLS = ("jam", "step", "pull", "720 m")
 FIXES_S = (0.0, 20.0)  # between two; 0: none after the alignment
-FROM_S, END_S, ALIGNED_S, BLACKOUT_S = 15.0, 100.0, 6.0, 20.0
+FROM_S, END_S, ALIGNED_S, BLACKOUT_S = 15.0, 80.0, 6.0, 20.0
 _SPEED_M_S = {"step": 2.0, "pull": 0.5}
 _OFF_M, _JAM_M, _JAM_M_S = 720.0, 10.0, 3.0
 _LASTS_S = 10.0

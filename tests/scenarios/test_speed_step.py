@@ -59,9 +59,23 @@ def test_a_speed_that_the_imu_contradicts_is_covered_before_it_is_followed(state
 def _reading(t_s: float, nu: Vec3, before: SpeedStep | None = None) -> SpeedStep:
     t_ns, x, variance = round(t_s * 1e9), np.zeros(X.SIZE), np.full(3, 0.1**2)
     if before is None:
-        return SpeedStep(t_ns, x, np.array(nu), variance, agrees=True)
+        return SpeedStep(t_ns, x, np.array(nu), variance, agrees=True, scatter2=0.02, usual=10)
     after = before.after(t_ns, np.array(nu), x, variance)
     return after._replace(t_ns=t_ns, nu=np.array(nu), followed=bool(after.net.any()))
+
+
+def test_a_speed_that_fits_the_state_before_is_no_step() -> None:
+    found = _reading(0.2, (2.0, 0.0, 0.0), _reading(0.0, (0.0, 0.0, 0.0)))
+    assert found.before is not None
+    assert not found.confirmed(np.array([1.1, 0.0, 0.0])).net.any()  # readings before were 0.9 m/s off
+    np.testing.assert_array_equal(found.confirmed(np.array([1.9, 0.0, 0.0])).net, [1.9, 0.0, 0.0])
+
+
+def test_steps_that_are_usual_for_a_receiver_are_none() -> None:
+    found = _reading(0.0, (0.0, 0.0, 0.0))
+    for k in range(1, 30):  # a claim of 0.1 m/s, steps of 0.7
+        found = _reading(0.2 * k, (0.7 * (k % 2), 0.0, 0.0), found)
+    assert not _reading(6.0, (2.0, 0.0, 0.0), found).net.any()
 
 
 def test_a_step_back_ends_it() -> None:

@@ -3,8 +3,9 @@
     step = (z_k - h(f(x_k-1))) - (z_k-1 - h(x_k-1)),     net = sum of the steps beyond 5 sigma and 0.8 m/s
     P <- P + j net net^T j^T,     j = (t I, I) of position and velocity
 
-f: the state moved by the IMU; t: since the first step, or the last fix of another source. Steps back to less than 0.8 m/s, or
-such a fix while the receiver agrees, end it. It counts once the estimate follows: a reading is fused.
+f: the state moved by the IMU; sigma: what the readings claim, or how they usually step; t: since the first step, or the last fix
+of another source. Steps back to less than 0.8 m/s, a speed 2 s later that fits the state before, or such a fix while the receiver
+agrees end it. It counts once the estimate follows: a reading is fused.
 """
 
 import math
@@ -22,35 +23,65 @@ from models.state import E, X
 
 _LEAST_M_S, _SIGMAS = 0.8, 5.0
 _SHORTEST_S, _LONGEST_S = 0.15, 1.2  # between the two readings
+_CONFIRMED_NS, _CONFIRMED = 2_000_000_000, 0.6  # so long after a step, of its size
+_FEWEST, _USUAL_S = 5, 5.0  # readings to know the usual steps from, and over which time these are averaged
+_XYZ, _NOTHING = 3, np.zeros(3)
 _OF_IMU = 4  # steps in a row are noise, or the IMU's
 _NOISY = 9.0  # times the variance
+_IMPACT_M_S2 = 30.0
 _TIMING_S = 0.1  # of stamps and filters of receivers: what acceleration makes of it is no step
 
 
 class SpeedStep(NamedTuple):
-    """The newest reading of a receiver, the state x (16,) after it, nu (3,) [m/s] from there; agrees: it was fused."""
+    """The newest reading of a receiver, the state x (16,) after it, nu (3,) [m/s] from there; agrees: it was fused.
+
+    scatter2: mean square of the usual steps, of `usual` readings; before: time and state before a step that is not confirmed yet.
+    """
 
     t_ns: int
     x: Array
     nu: Array
     variance: Array
     agrees: bool
-    net: Array = np.zeros(3)
-    in_a_row: int = 0
+    net: Array = _NOTHING
     since_ns: int = 0
     followed: bool = False
+    in_a_row: int = 0
+    scatter2: float = 0.0
+    usual: int = 0
+    before: tuple[int, Array] | None = None
 
     def after(self, t_ns: int, nu: Array, x: Array, variance: Array) -> "SpeedStep":
         """With what the next reading shows: nu (3,) from the state x (16,) that the IMU has moved since the last."""
         step, dt_s = nu - self.nu, (t_ns - self.t_ns) * 1e-9
         accel = (x[X.V] - self.x[X.V]) / dt_s
-        sigma2 = variance + self.variance + (_TIMING_S * accel) ** 2
-        if math.hypot(*step.tolist()) < _LEAST_M_S or float((step**2 / sigma2).sum()) < _SIGMAS**2:
-            return self._replace(in_a_row=0)
+        sigma2 = np.maximum(variance + self.variance, self.scatter2) + (_TIMING_S * accel) ** 2
+        is_known = self.usual >= _FEWEST and math.hypot(*step.tolist()) >= _LEAST_M_S
+        if is_known and float((step**2 / sigma2).sum()) >= _SIGMAS**2:
+            return self._stepped(step)
+        usual = self.usual + 1
+        share = max(1.0 / usual, -math.expm1(-dt_s / _USUAL_S))
+        scatter2 = self.scatter2 + share * (float(step @ step) / _XYZ - self.scatter2)
+        return self._replace(in_a_row=0, usual=usual, scatter2=scatter2)
+
+    def _stepped(self, step: Array) -> "SpeedStep":
         net, in_a_row = self.net + step, self.in_a_row + 1
         if math.hypot(*net.tolist()) < _LEAST_M_S or in_a_row >= _OF_IMU:
-            return self._replace(net=np.zeros(3), in_a_row=in_a_row, followed=False)
-        return self._replace(net=net, in_a_row=in_a_row, since_ns=self.since_ns if self.net.any() else self.t_ns)
+            return self.ended._replace(in_a_row=in_a_row)
+        since_ns = self.since_ns if self.net.any() else self.t_ns
+        return self._replace(net=net, since_ns=since_ns, in_a_row=in_a_row, before=self.before or (self.t_ns, self.x))
+
+    def confirmed(self, nu: Array) -> "SpeedStep":
+        """nu (3,): of a reading 2 s after the step, from the state before it; small: the readings before were off."""
+        size = math.hypot(*nu.tolist())
+        if size < max(_LEAST_M_S, _CONFIRMED * math.hypot(*self.net.tolist())):
+            return self.ended
+        return self._replace(net=nu, before=None)
+
+    @property
+    def ended(self) -> "SpeedStep":
+        """Without a step."""
+        return self._replace(net=_NOTHING, followed=False, before=None)
 
     @property
     def covariance(self) -> Array | None:
@@ -69,22 +100,36 @@ def noted(
     steps: Steps, aid: Aid, z: Velocity, gyro_b: Array, lead: Hypothesis, samples: ImuBuffer, *, fused: bool, scatter: float
 ) -> Steps:
     """With a velocity that the leading hypothesis has judged; scatter: factor of its noise, much of which is no speed."""
-    if scatter > _NOISY:
+    before = steps.get(aid.witness)
+    if scatter > _NOISY or (before is not None and _shaken(samples, before.t_ns)):
         return {topic: step for topic, step in steps.items() if topic != aid.witness}
-    before, variance = steps.get(aid.witness), z.noise.diagonal()
+    variance = z.noise.diagonal()
     since_s = (aid.t_ns - before.t_ns) * 1e-9 if before is not None else math.inf
     if before is not None and since_s < _SHORTEST_S:
         return steps
     x = lead.filter.x.copy()
-    now = SpeedStep(aid.t_ns, x, z.evaluate(x, gyro_b)[0], variance, fused)
-    if before is not None:
-        if since_s < _LONGEST_S and not lead.doubts_imu:
-            index, constants = samples.first_after(before.t_ns), lead.filter.constants
-            moved = imu.moved(before.x, samples.t_ns, samples.u, samples.count, index, before.t_ns, aid.t_ns, constants)
-            before = before.after(aid.t_ns, z.evaluate(moved, gyro_b)[0], moved, variance)
-        followed = before.followed or (fused and bool(before.net.any()))
-        now = now._replace(net=before.net, in_a_row=before.in_a_row, since_ns=before.since_ns, followed=followed)
+    nu = z.evaluate(x, gyro_b)[0]
+    if before is None:
+        return {**steps, aid.witness: SpeedStep(aid.t_ns, x, nu, variance, fused)}
+    if since_s < _LONGEST_S and not lead.doubts_imu:
+        moved = _moved(before.t_ns, before.x, aid.t_ns, samples, lead)
+        before = before.after(aid.t_ns, z.evaluate(moved, gyro_b)[0], moved, variance)
+        if before.before is not None and aid.t_ns - before.before[0] >= _CONFIRMED_NS:
+            before = before.confirmed(z.evaluate(_moved(*before.before, aid.t_ns, samples, lead), gyro_b)[0])
+    followed = before.followed or (fused and bool(before.net.any()))
+    now = before._replace(t_ns=aid.t_ns, x=x, nu=nu, variance=variance, agrees=fused, followed=followed)
     return {**steps, aid.witness: now}
+
+
+def _shaken(samples: ImuBuffer, from_ns: int) -> bool:
+    """Whether the IMU has felt an impact since then, which its samples need not hold whole."""
+    force = samples.u[samples.first_after(from_ns) : samples.count, _XYZ:]
+    return len(force) > 0 and bool(np.abs(force).max() > _IMPACT_M_S2)
+
+
+def _moved(from_ns: int, x: Array, to_ns: int, samples: ImuBuffer, lead: Hypothesis) -> Array:
+    index = samples.first_after(from_ns)
+    return imu.moved(x, samples.t_ns, samples.u, samples.count, index, from_ns, to_ns, lead.filter.constants)
 
 
 def positioned(steps: Steps, aid: Aid) -> Steps:
@@ -93,10 +138,7 @@ def positioned(steps: Steps, aid: Aid) -> Steps:
         return steps
     if aid.geodetic:
         return {topic: s._replace(followed=bool(s.net.any())) if topic == aid.topic else s for topic, s in steps.items()}
-    return {
-        topic: s._replace(net=np.zeros(3), followed=False) if s.agrees else s._replace(since_ns=aid.t_ns)
-        for topic, s in steps.items()
-    }
+    return {topic: s.ended if s.agrees else s._replace(since_ns=aid.t_ns) for topic, s in steps.items()}
 
 
 def remarks(steps: Steps) -> list[str]:
