@@ -113,7 +113,7 @@ def test_what_is_no_route_is_refused_in_one_line(tmp_path: Path) -> None:
 def test_the_command_draws_and_prints_and_its_exit_code_is_the_verdict(tmp_path: Path) -> None:
     (tmp_path / "map.geojson").write_bytes(houses(lambda k: 9.0 + 1.6 * k).to_geojson())
     (tmp_path / "route.csv").write_text("\n".join(f"{lat}, {lon}" for lat, lon in NORTH[:2]))
-    args = ["forecast", str(tmp_path / "route.csv"), "--map", str(tmp_path / "map.geojson")]
+    args = ["forecast", str(tmp_path / "route.csv"), "--map", str(tmp_path / "map.geojson"), "--speed", "16"]
     said = CliRunner().invoke(app, [*args, "-o", str(tmp_path / "f.png")])
     assert said.exit_code == 1
     assert "not fit" in said.stdout
