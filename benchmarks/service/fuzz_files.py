@@ -49,8 +49,32 @@ _COUNTS: Final = (
 _PLACE: Final = Place(47.4, 8.5, 3000.0)
 
 
+_VALUES: Final[tuple[Any, ...]] = (
+    None,
+    True,
+    0,
+    -1,
+    2**31,
+    2**63,
+    1e308,
+    -1e308,
+    1e-320,
+    "",
+    "nan",
+    "x" * 4000,
+    [],
+    {},
+    [[]],
+    [None],
+    91.0,
+    181.0,
+)
+
+
 def mutant(data: bytes, rng: np.random.Generator) -> bytes:
-    """One to four changes."""
+    """One to four changes of bytes; of a JSON document, every second time, of values: it stays one."""
+    if data.startswith(b"{") and rng.random() < 0.5:
+        return _other_values(data, rng)
     changed = bytearray(data)
     for _ in range(int(rng.integers(1, 5))):
         at, other = (int(rng.integers(0, max(1, len(changed)))) for _ in range(2))
@@ -70,6 +94,28 @@ def mutant(data: bytes, rng: np.random.Generator) -> bytes:
             case _:
                 changed[at : at + n] = bytes(rng.integers(0, 256, n, dtype=np.uint8))
     return bytes(changed)
+
+
+def _other_values(data: bytes, rng: np.random.Generator) -> bytes:
+    """Values and whole parts of a JSON document replaced, taken out or moved."""
+    document = json.loads(data)
+    for _ in range(int(rng.integers(1, 5))):
+        parts: list[dict[str, Any] | list[Any]] = [document]
+        for part in parts:
+            parts += [
+                child for child in (part.values() if isinstance(part, dict) else part) if child and isinstance(child, dict | list)
+            ]
+        part, other = (parts[int(rng.integers(len(parts)))] for _ in range(2))
+        keys = list(part) if isinstance(part, dict) else list(range(len(part)))
+        if not keys:
+            continue
+        key = keys[int(rng.integers(len(keys)))]
+        value = _VALUES[int(rng.integers(len(_VALUES)))] if rng.random() < 0.8 else json.loads(json.dumps(other))
+        if rng.random() < 0.2:
+            del part[key]  # type: ignore[arg-type]
+        else:
+            part[key] = value  # type: ignore[index]
+    return json.dumps(document).encode()
 
 
 def _imported(kind: str) -> Callable[[Path, Path], object]:

@@ -19,8 +19,11 @@ class _Reading(NamedTuple):
     threads: int
 
 
-def watch(processes: dict[str, int], over: Callable[[], bool]) -> dict[str, dict[str, float]]:
-    """Of each process (name -> id) each second until it is over: share of a core, memory, handles, threads, growth when warm."""
+def watch(processes: dict[str, int], over: Callable[[], bool]) -> dict[str, dict[str, float | list[float]]]:
+    """Of each process (name -> id) each second until it is over: share of a core, memory, handles, threads, growth when warm.
+
+    And memory and threads at the end of each minute.
+    """
     readings: dict[str, list[_Reading]] = {name: [] for name in processes}
     while not over():
         for name, pid in processes.items():
@@ -44,8 +47,10 @@ def _of_threads(pid: int) -> list[str]:
     return [other for task in Path(f"/proc/{pid}/task").iterdir() for other in (task / "children").read_text().split()]
 
 
-def _summary(taken: list[_Reading]) -> dict[str, float]:
+def _summary(taken: list[_Reading]) -> dict[str, float | list[float]]:
+    taken = [r for r in taken if r.rss_mb] or taken  # at its end a process has none
     first, last = taken[0], taken[-1]
+    minutes = {int((r.s - first.s) / 60.0): r for r in taken}.values()
     warm = next((r for r in taken if r.s - first.s >= min(_WARM_S, (last.s - first.s) / 2)), last)
     share = (last.cpu_s - warm.cpu_s) / max(last.s - warm.s, 1e-9)
     return {
@@ -56,6 +61,8 @@ def _summary(taken: list[_Reading]) -> dict[str, float]:
         "handles_growth": last.handles - warm.handles,
         "threads": last.threads,
         "threads_growth": last.threads - warm.threads,
+        "rss_mb_each_minute": [round(r.rss_mb, 1) for r in minutes],
+        "threads_each_minute": [r.threads for r in minutes],
     }
 
 
