@@ -2,7 +2,7 @@
 
 python -m pytest -n 2 -p benchmarks.speed.suite [TESTS]
 
-A plugin of pytest. Writes benchmarks/results/tests.csv (file, tests, seconds; the dearest first) and prints the dearest tests and
+A plugin of pytest. Writes out/tests.csv (file, tests, seconds; the dearest first) and prints the dearest tests and
 the sums of the folders. A fixture counts for the test that asks for it first.
 """
 
@@ -15,7 +15,7 @@ from typing import Final
 
 import pytest
 
-_REPORT: Final = Path(__file__).parents[1] / "results/tests.csv"
+_REPORT: Final = Path(__file__).parents[2] / "out/tests.csv"
 _NAME, _SHOWN = "cpu_s", 40
 
 spent, count = defaultdict[str, float](float), Counter[str]()
@@ -71,6 +71,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         folders[str(Path(_file(test)).parent)] += seconds
     for folder, seconds in _dearest(folders):
         terminalreporter.write_line(f"{seconds:8.2f} s  {folder}")
+    _REPORT.parent.mkdir(exist_ok=True)
     with _REPORT.open("w", encoding="utf-8", newline="") as out:
         writer = csv.writer(out)
         writer.writerow(["file", "tests", "cpu_s"])
