@@ -44,7 +44,7 @@ class Row(msgspec.Struct, frozen=True):
     """One flight. reaction_s: to the first reading that is not fused, or word of health about it; left_s: to the last one that is
     fused, 10 s and more before the end; None: never; off_m, radius_m: at the largest error.
 
-    outside: share of the estimates beyond their radius; followed: the end is nearer to the receiver than to the truth.
+    outside: share of the estimates beyond their radius; followed: used to the end, which is off by half of what the receiver is.
     """
 
     cell: str
@@ -89,7 +89,7 @@ def run(job: Job) -> Row:
         off_m=float(off_m[worst]),
         radius_m=float(radius_m[worst]),
         outside=float(np.mean(off_m > radius_m)),
-        followed=cell != "jam" and bool(off_m[-1] > 0.5 * pulled_m),
+        followed=cell != "jam" and lasted_s < _LASTS_S and bool(off_m[-1] > 0.5 * pulled_m),
     )
 
 
