@@ -401,8 +401,6 @@ class Tracker:
                 core.stretch = None  # a run would leave the delay out
         is_rejected = aid.topic in core.hypotheses.members[0].rejected
         core.conflicts = core.conflicts.judged(aid, z, core.hypotheses.lead.x[X.P], is_rejected=is_rejected)
-        if (found := core.conflicts.apart.get(aid.witness)) and found.lasts and aid.receiver:
-            core.hypotheses.cover(aid.witness)
         core.hypotheses.drop(lambda member: bool(self.violation(member.filter)))
         sigma = np.sqrt(verdict.seen.s.diagonal())
         if verdict.fused:
