@@ -54,17 +54,24 @@ class Verdict(NamedTuple):
 class Hypotheses:
     """The filters in question; the first is the estimate.
 
-    switches: changes of the leading one; conflict_ns: start of a conflict of sources.
+    switches: changes of the leading one; conflict_ns: start of a conflict of sources; disputed: those it rejects.
     """
 
-    __slots__ = ("conflict_ns", "members", "switches")
+    __slots__ = ("conflict_ns", "disputed", "members", "switches")
 
-    def __init__(self, members: list[Hypothesis], switches: int = 0, conflict_ns: int | None = None) -> None:
-        self.members, self.switches, self.conflict_ns = members, switches, conflict_ns
+    def __init__(
+        self,
+        members: list[Hypothesis],
+        switches: int = 0,
+        conflict_ns: int | None = None,
+        disputed: frozenset[str] = frozenset(),
+    ) -> None:
+        self.members, self.switches = members, switches
+        self.conflict_ns, self.disputed = conflict_ns, disputed
 
     def copy(self) -> "Hypotheses":
         """Independent hypotheses in the same state."""
-        return Hypotheses([h.copy() for h in self.members], self.switches, self.conflict_ns)
+        return Hypotheses([h.copy() for h in self.members], self.switches, self.conflict_ns, self.disputed)
 
     @property
     def lead(self) -> Eskf:
@@ -187,7 +194,7 @@ class Hypotheses:
         if k == 0 or not member.without or not aid.absolute:
             return
         member.weight += min(0.0, gained.get(0, 0.0) - math.log(aid.rules.false_share) - gained[k])
-        member.benefit = float(not fused[0] and (fused[k] or bool(member.benefit)))
+        member.benefit = float(not fused[0] and (fused[k] or bool(member.benefit)) and not self._is_decided(aid))
 
     def leave(self, topic: str) -> None:
         """The receiver is found wrong: the hypothesis without it leads, if any."""
@@ -262,7 +269,8 @@ class Hypotheses:
                 if aid.log_misled is not None:
                     member.receiver = aid.topic, aid.log_misled
                 behind = self.members[0].weight - member.weight
-                if lead_refuses and behind < FORGET:
+                member.decided -= {aid.topic}
+                if lead_refuses and behind < FORGET and not self._is_decided(aid):
                     member.benefit = max(member.benefit, behind)  # until it is decided, the covariance covers both
             return True
         member.weight += aid.log_false
@@ -285,6 +293,7 @@ class Hypotheses:
         best = max(others, key=lambda m: m.weight, default=lead)
         if best.weight > lead.weight + MARGIN:
             others = [lead, *(m for m in others if m is not best)]
+            best.decided, self.disputed = frozenset(best.rejected - lead.doubts.keys()), frozenset()
             lead = best
             lead.benefit = 0.0
             self.switches += 1
@@ -303,4 +312,12 @@ class Hypotheses:
         self._note_conflict(t_ns)
 
     def _note_conflict(self, t_ns: int) -> None:
-        self.conflict_ns = None if self.conflict is None else self.conflict_ns or t_ns
+        if (found := self.conflict) is None:
+            self.members[0].decided |= self.disputed
+            self.conflict_ns, self.disputed = None, frozenset()
+        else:
+            self.conflict_ns, self.disputed = self.conflict_ns or t_ns, found[0]
+
+    def _is_decided(self, aid: Aid) -> bool:
+        lead = self.members[0]
+        return aid.topic in lead.decided and (aid.t_ns - lead.fused_ns) * 1e-9 < LEFT_OUT_S
