@@ -135,13 +135,14 @@ class Hypotheses:
         if aid.absolute and not set_aside and not self._is_predicted(aid, passed):
             newborn = follower.begin(self.members[0], aid, z, gyro_b, limit, vouched=vouched)
         anew = aid.absolute and not set_aside and not passed[0] and aid.topic not in self.members[0].doubts
+        is_new = newborn is not None and not left_out.has_jumped(self.members, aid)
         evidence = weighed(self.members, aid, seen, passed, vouched=vouched)
         born: list[Hypothesis] = []
         fused = self._answers(evidence, born, set_aside=set_aside)
         explained = not fused[0] and any(f and follower.is_new(m) for f, m in zip(fused, self.members, strict=True))
         if anew:
             follower.raise_alternative(self.members, aid, fused, vouched=vouched)
-        at_fix = left_out.moved(self.members[0], aid, z, gyro_b, seen[0]) if newborn and self.members[0].receiver else None
+        at_fix = left_out.moved(self.members[0], aid, z, gyro_b, seen[0]) if is_new and self.members[0].receiver else None
         left_out.begin_again(self.members, aid, fused, at_fix, seen)
         if newborn:
             newborn.weight += self.members[0].weight

@@ -91,6 +91,16 @@ def end(lead: Hypothesis, aid: Aid, *, passed: bool) -> None:
         lead.doubts.pop(aid.topic, None)
 
 
+def has_jumped(members: list[Hypothesis], aid: Aid) -> bool:
+    """Whether a fix that all refuse contradicts its source's last ones, without a break: that is no fault of a receiver."""
+    for member in members:
+        if member.without and member.without != aid.witness:
+            doubt = member.doubts.get(aid.topic)
+            last_ns = max(member.fused_ns, doubt.last_ns) if doubt else member.fused_ns
+            return (aid.t_ns - last_ns) * 1e-9 < RUN_ENDS_S
+    return False
+
+
 def begin_again(
     members: list[Hypothesis], aid: Aid, fused: list[bool], at_fix: Hypothesis | None, seen: list[Innovation]
 ) -> None:

@@ -156,7 +156,7 @@ def test_a_fix_that_nothing_predicted_shows_in_the_covariance_until_the_next_one
     """It is false, or the receiver has been misled from the start: one is as likely as the other."""
     lead = _member((0.0, 0.0, 0.0))
     lead.receiver = TOPIC, -4.6
-    bank = Hypotheses([lead, *([_without((0.0, 0.0, 0.0), -4.6)] if goes_without else [])])
+    bank = Hypotheses([lead, *([_without((0.0, 0.0, 0.0), -4.6, fused_ago_s=10.0)] if goes_without else [])])
     for p_n, least_m, most_m in (((50.0, 0.0, 0.0), 50.0, 150.0), ((0.0, 0.0, 0.0), 0.0, 1.0)):
         aid = aid_of(pose_fix(EPOCH_NS, p_n))
         z = aid.measurement(None)
@@ -166,6 +166,20 @@ def test_a_fix_that_nothing_predicted_shows_in_the_covariance_until_the_next_one
         for at in range(2):  # readings of the receiver change nothing about it
             bank.judge(*_gnss((0.01 * at, 0.0, 0.0)), np.zeros(3), trusted=True)
         assert least_m < 2.8 * math.sqrt(np.linalg.eigvalsh(bank.covariance()[E.P, E.P])[-1]) < most_m
+
+
+def test_a_jump_between_two_fixes_is_no_fault_of_the_receiver() -> None:
+    """The hypothesis without the receiver fused the last fix a second ago: the fixes contradict one another."""
+    bank = Hypotheses([_member((0.0, 0.0, 0.0)), _without((0.0, 0.0, 0.0), -4.6, fused_ago_s=1.0)])
+    bank.members[0].receiver = TOPIC, -4.6
+    aid = aid_of(pose_fix(EPOCH_NS, (50.0, 0.0, 0.0)))
+    z = aid.measurement(None)
+    assert z is not None
+    assert not isinstance(z, tuple)
+    bank.judge(aid, z, np.zeros(3), trusted=True)
+    without = next(m for m in bank.members if m.without)
+    assert not without.begun_at_fix
+    assert np.linalg.norm(without.filter.x[X.P]) < 1.0
 
 
 BOOT = """
