@@ -58,7 +58,7 @@ def begin(lead: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, limit: floa
     is_first = aid.topic not in lead.doubts  # that is refused: it may be the true one
     other.benefit = max(-other.weight - _SEEN, 0.0) if is_first else -_UNSEEN
     eskf.update(seen)
-    other.note_jump(lead.filter.x[X.P], aid.t_ns, lead.fused_ns)
+    other.note_jump(lead.filter.x[X.P], aid.t_ns)
     other.fused_ns = other.run_ns = other.parted_ns = aid.t_ns
     other.run = 1
     return other

@@ -264,7 +264,7 @@ class Hypotheses:
                 del member.doubts[aid.topic]
                 member.benefit = 0.0
                 if aid.absolute:
-                    member.note_jump(before_n, aid.t_ns, doubt.last_ns)
+                    member.note_jump(before_n, aid.t_ns)
             if aid.absolute:
                 member.note_fused(aid.t_ns)
                 if aid.log_misled is not None:

@@ -22,6 +22,7 @@ _MORE = 3  # a run of fixes wins that is longer by so many of them
 _LEAST_IMU_S, _LEAST_S = 3.0, 4.5  # and lasts for so long at least: where a wrong IMU explains them, where nothing does
 _ENOUGH_S, _ENOUGH = 5.0, 11  # longer than both, it wins against any other one
 _LEAST_SHARE, _TWO_SIGMA = 0.1, 2.0  # a contradicted run matters whose share in both is larger; a jump that is further
+_KNOWN_S = 10.0  # after a longer time without fixes the IMU may have led there
 _PERIOD_S = 2.0  # between fixes, where it is not known
 
 
@@ -104,12 +105,12 @@ class Hypothesis(msgspec.Struct, eq=False):
         if self.past and self.past.share(t_ns) < _LEAST_SHARE:
             self.past = None
 
-    def note_jump(self, from_n: Array, t_ns: int, last_ns: int) -> None:
-        """A fix that its last ones, until last_ns, contradict has moved it from from_n (3,) [m], by more than two sigma."""
+    def note_jump(self, from_n: Array, t_ns: int) -> None:
+        """A fix that its last ones contradict has moved it from from_n (3,) [m], by more than two sigma."""
         run_s, off = (self.fused_ns - self.run_ns) * 1e-9, from_n - self.filter.x[X.P]
         covered = _TWO_SIGMA**2 * self.filter.variance_factor * self.filter.cov[E.P, E.P].trace()
         covered += self.past.added(t_ns).trace() if self.past else 0.0
-        if run_s > 0.0 and (t_ns - last_ns) * 1e-9 < RUN_ENDS_S and off @ off > covered:
+        if run_s > 0.0 and (t_ns - self.fused_ns) * 1e-9 < _KNOWN_S and off @ off > covered:
             self.past = Past(off, run_s, t_ns)
 
     @property

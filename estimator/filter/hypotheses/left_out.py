@@ -27,7 +27,7 @@ def add(members: list[Hypothesis], aid: Aid) -> bool:
     if aid.log_misled is None or lead.doubts or any(m.without == aid.topic for m in members):
         return False
     members.append(_without(lead, aid.topic, aid.log_misled, aid.t_ns))
-    members[-1].begun_at_fix = False
+    members[-1].begun_at_fix, members[-1].run = False, 0
     return True
 
 
@@ -92,9 +92,9 @@ def end(lead: Hypothesis, aid: Aid, *, passed: bool) -> None:
 
 
 def has_jumped(members: list[Hypothesis], aid: Aid) -> bool:
-    """Whether a fix that all refuse contradicts its source's last ones, without a break: that is no fault of a receiver."""
+    """Whether a fix that all refuse contradicts the last ones of its source, without a break: that is no fault of a receiver."""
     for member in members:
-        if member.without and member.without != aid.witness:
+        if member.without and member.without != aid.witness and member.run:
             doubt = member.doubts.get(aid.topic)
             last_ns = max(member.fused_ns, doubt.last_ns) if doubt else member.fused_ns
             return (aid.t_ns - last_ns) * 1e-9 < RUN_ENDS_S
