@@ -52,7 +52,11 @@ def again(stream: Stream) -> Cause | None:
     if same.all() or same.mean() < _AGAIN:
         return None
     what = f"each of its messages comes {round(1.0 / (1.0 - same.mean()))} times"
-    return Cause(what, float(stream.arrived_s[0]), "two senders, or two bridges, write this topic: stop one")
+    return Cause(
+        what,
+        float(stream.arrived_s[0]),
+        "two senders or bridges write this topic, or one sends faster than it measures: stop one, or slow it down",
+    )
 
 
 def copies(stream: Stream) -> Cause | None:
