@@ -36,7 +36,9 @@ class LogConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[log]: the flight recorder."""
 
     enabled: Annotated[bool, Meta(description="whether anything is recorded")] = True
-    folder: Annotated[str, Meta(description="where logs are written, relative to the working directory")] = "logs"
+    folder: Annotated[
+        str, Meta(pattern=r"^[^$]*$", description="where logs are written, relative to the working directory; no $VARIABLE")
+    ] = "logs"
     rotate_mb: Annotated[
         float, Meta(ge=1e-3, le=1e9, description="MB: a file that has grown so large is followed by another")
     ] = 4000.0
