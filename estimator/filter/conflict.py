@@ -1,8 +1,8 @@
-"""A receiver in lasting conflict with the estimate: the map may be wrong (docs/decision.md).
+"""A source in lasting conflict with the estimate: the map may be wrong (docs/decision.md).
 
     P <- P + w (S + d d^T),     w = w_0 exp(-(|d| / d_0)^2)                    (Bar-Shalom, Li, Kirubarajan 2001, 1.4.16)
 
-d (3,) [m]: to the receiver's position, of covariance S (3, 3); w_0: share of conflicts with a wrong map; d_0 [m]: size of map
+d (3,) [m]: to the source's position, of covariance S (3, 3); w_0: share of conflicts with a wrong map; d_0 [m]: size of map
 errors.
 """
 
@@ -76,14 +76,14 @@ class Conflicts:
         return Conflicts({t: a for t, a in self.apart.items() if t != aid.topic}, self.contrary_ns) if before else self
 
     def judged(self, aid: Aid, z: Measurement, position_n: Array, *, is_rejected: bool) -> "Conflicts":
-        """Once aligned: receivers whose positions or velocities are rejected."""
+        """Once aligned: sources whose positions are rejected, receivers whose velocities are."""
         if aid.receiver and is_rejected:
             return Conflicts(self.apart, self.contrary_ns | {aid.receiver: aid.t_ns})
         if not aid.absolute:
             return self
         is_receiver, contrary_ns = aid.log_misled is not None, self.contrary_ns.get(aid.topic)
         is_contrary = is_rejected or (contrary_ns is not None and aid.t_ns - contrary_ns < _LASTS_NS)
-        return self.compared(aid, z, position_n, disagrees=is_receiver and is_contrary, lingers=is_receiver)
+        return self.compared(aid, z, position_n, disagrees=is_contrary, lingers=is_receiver)
 
     def added(self, *, is_decided: bool) -> Array:
         """Added covariance of the position, (3, 3)."""

@@ -102,12 +102,14 @@ def test_a_receiver_whose_velocity_was_just_rejected_is_in_conflict(ago_s: float
     assert ("/gnss" in found.apart) == counts
 
 
-def test_a_pose_fix_that_is_rejected_is_no_receiver_and_none_of_the_alignment_stays() -> None:
+def test_a_pose_fix_counts_as_long_as_it_is_rejected_and_none_of_the_alignment_stays() -> None:
     aid = aid_of(pose_fix(EPOCH_NS, (5.0, 0.0, 0.0)))
     z = aid.measurement(None)
     assert z is not None
     assert not isinstance(z, tuple)
-    assert not Conflicts().judged(aid, z, HERE, is_rejected=True).apart
+    rejected = Conflicts().judged(aid, z, HERE, is_rejected=True)
+    assert "/pose_fix" in rejected.apart
+    assert not rejected.judged(aid, z, HERE, is_rejected=False).apart
     aligning = Conflicts().compared(aid, z, HERE, disagrees=True)
     assert "/pose_fix" in aligning.apart
     assert not aligning.judged(aid, z, HERE, is_rejected=False).apart
