@@ -53,7 +53,6 @@ class Still:
     """Levelled at rest at a position fix; since: the first fix."""
 
     level: Level
-    aid: Aid
     z: Position | Pose
     since: Position | Pose
 
@@ -144,7 +143,7 @@ class Alignment:
             else:
                 self.begun_by = aid.topic
                 return self._find_heading(aid, z, at, samples, gyro_b)
-        elif aid.absolute and isinstance(z, Position | Pose) and self._may_begin_again and self._end_search(aid, z, samples):
+        elif aid.absolute and isinstance(z, Position | Pose) and self._may_begin_again and self._end_search(z, samples):
             self.begun_by = aid.topic
             return Decision(Reason.ALIGNING)
         self._go_on(aid, z, samples, gyro_b)
@@ -178,7 +177,10 @@ class Alignment:
             self.resting.take(aid, z, gyro_b)
             self.resting = None if self.resting.is_refuted else self.resting
         elif self.resting is None and self.still.level.t_ns == core.t_ns:
-            self.resting = Resting(self._all_headings(self.still.aid, self.still.z, self.still.level)[0])
+            begun = initialise.start_from_position(
+                core.t_ns, self.still.z, self.still.level, core.constants, core.config.initialise
+            )
+            self.resting = Resting(begun)
         if core.is_aligned or self.bank is None:
             self.waits_since_ns, self.shows_unaligned = None, False
             return
@@ -275,16 +277,18 @@ class Alignment:
 
     def _find_heading(self, aid: Aid, z: Position | Pose, at: Level, samples: ImuBuffer, gyro_b: Array) -> Decision:
         core = self.core
-        if self._start_from_prior(aid, z, at, samples) or self._start_from_sensed(aid, z, at, samples):
+        config = core.config.initialise
+        if self._start_from_prior(z, at, samples) or self._start_from_sensed(z, at, samples):
             return Decision(Reason.ALIGNING)
         if at.still:
-            self.still = Still(at, aid, z, self.still.since if self.still else z)
+            self.still = Still(at, z, self.still.since if self.still else z)
             return Decision(Reason.ALIGNING, detail=AT_REST)
         if self.still is None or core.t_ns - self.still.level.t_ns > _STILL_MEMORY_NS:
-            core.hypotheses, core.stretch = self._all_headings(aid, z, at)
+            core.hypotheses, core.stretch = self._all_headings(z, at)
             return Decision(Reason.ALIGNING)
         last = self.still
-        core.hypotheses, core.stretch = self._all_headings(last.aid, last.z, last.level)
+        core.hypotheses = initialise.start_from_position(last.level.t_ns, last.z, last.level, core.constants, config)
+        core.stretch = Stretch.of(initialise.heading_unknown(last.level.t_ns, last.z, last.level, core.constants, config))
         index = samples.first_after(last.level.t_ns)
         for member in core.hypotheses.members:
             member.filter.propagate(samples, index, core.t_ns)
@@ -308,14 +312,14 @@ class Alignment:
     def _may_begin_again(self) -> bool:
         return self._seeks_heading or (self.prior is not None and bool(self.prior[2]) and self._has_blurred)
 
-    def _end_search(self, aid: Aid, z: Position | Pose, samples: ImuBuffer) -> bool:
+    def _end_search(self, z: Position | Pose, samples: ImuBuffer) -> bool:
         core = self.core
         stretch = core.recent(samples)
         return stretch is not None and self._start_from_prior(
-            aid, z, initialise.level(core.t_ns, stretch, core.config.initialise, may_rest=False), samples
+            z, initialise.level(core.t_ns, stretch, core.config.initialise, may_rest=False), samples
         )
 
-    def _start_from_prior(self, aid: Aid, z: Position | Pose, at: Level, samples: ImuBuffer) -> bool:
+    def _start_from_prior(self, z: Position | Pose, at: Level, samples: ImuBuffer) -> bool:
         core = self.core
         if self.prior is None or core.t_ns - self.prior[0] > _FRESH_NS:
             return False
@@ -323,25 +327,25 @@ class Alignment:
         prior = Pose(given.z_n, samples.turned(given.q_nb_wxyz, since_ns, core.t_ns), given.noise, given.rows)
         if core.hypotheses is not None and not initialise.agrees(core.hypotheses, prior):
             return False
-        begun = initialise.start_from_attitude(core.t_ns, z, at, aid, prior, core.constants, core.config.initialise)
+        begun = initialise.start_from_attitude(core.t_ns, z, at, prior, core.constants, core.config.initialise)
         if begun is not None:
             core.hypotheses, core.stretch = begun, Stretch.of(begun.lead)
             if at.still and topic:  # nothing has shown yet whether its heading is right
-                self.without_sensor = WithoutSensor(*self._all_headings(aid, z, at), topic, core.t_ns, z)
+                self.without_sensor = WithoutSensor(*self._all_headings(z, at), topic, core.t_ns, z)
         return begun is not None
 
-    def _start_from_sensed(self, aid: Aid, z: Position | Pose, at: Level, samples: ImuBuffer) -> bool:
+    def _start_from_sensed(self, z: Position | Pose, at: Level, samples: ImuBuffer) -> bool:
         core = self.core
         if not at.still or not self._senses_heading or self.sensed is None:
             return False
-        sensor, seen = self.sensed
-        turn = so3.matrix(samples.turned(_NO_TURN, sensor.t_ns, core.t_ns))
+        aid, seen = self.sensed
+        turn = so3.matrix(samples.turned(_NO_TURN, aid.t_ns, core.t_ns))
         now = replace_in(seen, direction_b=turn.T @ seen.direction_b)
         config = core.config.initialise
-        begun = initialise.start_from_heading(core.t_ns, z, at, aid, (sensor, now), core.constants, config)
+        begun = initialise.start_from_heading(core.t_ns, z, at, aid, now, core.constants, config)
         if begun is not None:
             core.hypotheses, core.stretch = begun, Stretch.of(begun.lead)
-            self.without_sensor = WithoutSensor(*self._all_headings(aid, z, at), sensor.topic, core.t_ns, z)
+            self.without_sensor = WithoutSensor(*self._all_headings(z, at), aid.topic, core.t_ns, z)
         return begun is not None
 
     def check_sensor(self, aid: Aid, z: Measurement, samples: ImuBuffer, gyro_b: Array) -> None:
@@ -363,7 +367,7 @@ class Alignment:
             elif known and beside.knows_heading:
                 self.without_sensor = None
             elif aid.absolute and isinstance(z, Position | Pose) and core.t_ns - beside.began_ns > _BESIDE_NS:
-                self._begin_beside(beside, aid, z, samples)
+                self._begin_beside(beside, z, samples)
 
     def _rests(self, beside: WithoutSensor, z: Measurement, samples: ImuBuffer) -> bool:
         core = self.core
@@ -375,22 +379,23 @@ class Alignment:
         stretch = core.recent(samples)
         return stretch is not None and initialise.level(core.t_ns, stretch, core.config.initialise).still
 
-    def _begin_beside(self, beside: WithoutSensor, aid: Aid, z: Position | Pose, samples: ImuBuffer) -> None:
+    def _begin_beside(self, beside: WithoutSensor, z: Position | Pose, samples: ImuBuffer) -> None:
         core = self.core
         beside.began_ns, stretch = core.t_ns, core.recent(samples)
         if stretch is None:
             return
         at = initialise.level(core.t_ns, stretch, core.config.initialise)
         if at.still and beside.since is not None:
-            beside.bank, beside.stretch = self._all_headings(aid, z, at)
+            beside.bank, beside.stretch = self._all_headings(z, at)
             if core.hypotheses is not None:
                 for member in core.hypotheses.members:
                     heading.level_again(member.filter, at, core.config.initialise)
                 core.stretch = Stretch.of(core.hypotheses.lead)
         beside.since = z if at.still else None
 
-    def _all_headings(self, aid: Aid, z: Position | Pose, at: Level) -> tuple[Hypotheses, Stretch]:
-        start = at.t_ns, z, at, aid, self.core.constants, self.core.config.initialise
+    def _all_headings(self, z: Position | Pose, at: Level) -> tuple[Hypotheses, Stretch]:
+        core = self.core
+        start = core.t_ns, z, at, core.constants, core.config.initialise
         return initialise.start_from_position(*start), Stretch.of(initialise.heading_unknown(*start))
 
     @property

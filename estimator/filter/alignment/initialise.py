@@ -4,9 +4,7 @@ A pose fix with attitude starts the filter; a position after levelling by the la
 
       roll = atan2(-f_y, -f_z),  pitch = atan2(f_x, sqrt(f_y^2 + f_z^2))                              (Groves 2013, eq. 5.101)
 
-with eight headings (Gaussian sum; Sorenson and Alspach 1971), not at rest. Errors s that the next fixes share, dz = J s:
-
-      P_ps = -J P_ss,   P_pp <- P_pp + J P_ss J^T
+with eight headings (Gaussian sum; Sorenson and Alspach 1971), not at rest.
 """
 
 import math
@@ -16,7 +14,6 @@ from typing import Annotated, Final
 import msgspec
 import numpy as np
 from msgspec import Meta
-from numpy.typing import NDArray
 
 from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.hypotheses import Hypotheses, Hypothesis, innovation, ln_sum
@@ -36,6 +33,7 @@ LEVEL_NS: Final = 1_000_000_000  # of specific force, used to level
 _STILL_ACCEL, _STILL_RATE = 0.3, 0.15  # m/s^2 (deviation), rad/s (mean) below which the vehicle may be at rest
 MOVING_TILT: Final = math.radians(12.0)  # sigma of roll and pitch levelled in motion
 _TURNED, _SIGMAS = math.radians(30.0), 3.0  # a larger error of a fix' attitude is no noise, nor one of its mounting
+_BROAD = 1e6  # on the covariance of a pose: it says next to nothing
 _HOPELESS = 12.0  # ln: a heading so far behind is dropped
 
 
@@ -110,7 +108,7 @@ def level(t_ns: int, u: Array, config: InitialiseConfig, *, may_rest: bool = Tru
 def start_from_pose(t_ns: int, z: Pose, constants: Array, config: InitialiseConfig, aid: Aid | None = None) -> Hypotheses:
     """One filter at a pose fix with full attitude; needs no rest.
 
-    aid: the fix, whose repeated errors are carried where they are most of its error.
+    aid: the fix. Where most of its error repeats, a filter whose pose is hardly known fuses it, for the correlations.
     """
     x, cov = _unknown(None, config)
     x[X.P], x[X.Q] = z.z_n, z.q_nb_wxyz
@@ -122,7 +120,9 @@ def start_from_pose(t_ns: int, z: Pose, constants: Array, config: InitialiseConf
     cov[E.P, E.THETA], cov[E.THETA, E.P] = noise[:3, 3:], noise[3:, :3]
     begun = Eskf(t_ns, x, cov, constants)
     if aid is not None and _repeats(aid, z, x):
-        _carry(begun, aid, np.r_[E.P, E.THETA], turn)
+        pose = np.r_[E.P, E.THETA]
+        begun.cov[np.ix_(pose, pose)] *= _BROAD
+        begun.update(innovation(begun, aid, z, np.zeros(3)))
     return Hypotheses([Hypothesis(begun, fused_ns=t_ns, run=1, run_ns=t_ns)])
 
 
@@ -133,28 +133,15 @@ def _repeats(aid: Aid, z: Pose, x: Array) -> bool:
     return any(bool((own[:3] > z.noise.diagonal()[:3]).any()) for own in repeated)
 
 
-def _carry(begun: Eskf, aid: Aid, states: NDArray[np.intp], turn: Array) -> None:
-    """Take the errors that the next fixes share into P: of the leading components, which are `states` (k,) by turn (k, k)."""
-    for slow in aid.slow_errors:
-        begun.consider(slow.block, slow.covariance, slow.tau_s, slow.walk)
-        at, moves = np.r_[begun.slow.columns[slow.block]], slow.moves(begun.x)
-        moved = np.eye(len(states), len(at)) if moves is None else moves[: len(states)]
-        shared = turn @ moved @ slow.covariance
-        begun.cov[np.ix_(states, at)], begun.cov[np.ix_(at, states)] = -shared, -shared.T
-        begun.cov[np.ix_(states, states)] += _symmetric(shared @ moved.T @ turn.T)
-
-
-def start_from_position(
-    t_ns: int, z: Position | Pose, at: Level, aid: Aid, constants: Array, config: InitialiseConfig
-) -> Hypotheses:
+def start_from_position(t_ns: int, z: Position | Pose, at: Level, constants: Array, config: InitialiseConfig) -> Hypotheses:
     """Eight levelled filters at a position fix."""
     headings = [2.0 * math.pi * k / _HEADINGS for k in range(_HEADINGS)]
-    filters = [_levelled(t_ns, z, at, aid, heading, math.pi / _HEADINGS, constants, config) for heading in headings]
+    filters = [_levelled(t_ns, z, at, heading, math.pi / _HEADINGS, constants, config) for heading in headings]
     return Hypotheses([Hypothesis(f, fused_ns=t_ns, run=1, run_ns=t_ns) for f in filters])
 
 
 def start_from_attitude(
-    t_ns: int, z: Position | Pose, at: Level, aid: Aid, prior: Pose, constants: Array, config: InitialiseConfig
+    t_ns: int, z: Position | Pose, at: Level, prior: Pose, constants: Array, config: InitialiseConfig
 ) -> Hypotheses | None:
     """One filter at a position fix with an outside attitude; None: gravity contradicts."""
     levelled = so3.from_euler(at.roll, at.pitch, so3.to_euler(prior.q_nb_wxyz)[2])
@@ -166,9 +153,7 @@ def start_from_attitude(
     moved, noise = np.cross(np.eye(3), antenna_n), np.zeros((6, 6))  # [antenna]x
     noise[:3, 3:], noise[3:, 3:] = moved @ prior.noise, prior.noise
     noise[3:, :3], noise[:3, :3] = noise[:3, 3:].T, z.noise[:3, :3] + moved @ prior.noise @ moved.T
-    begun = start_from_pose(t_ns, Pose(z.z_n - antenna_n, prior.q_nb_wxyz, noise, np.arange(6)), constants, config)
-    _carry(begun.lead, aid, np.r_[E.P], np.eye(3))
-    return begun
+    return start_from_pose(t_ns, Pose(z.z_n - antenna_n, prior.q_nb_wxyz, noise, np.arange(6)), constants, config)
 
 
 def is_turned(z: Pose, at: Level) -> bool:
@@ -178,18 +163,17 @@ def is_turned(z: Pose, at: Level) -> bool:
 
 
 def start_from_heading(
-    t_ns: int, z: Position | Pose, at: Level, aid: Aid, sensed: tuple[Aid, Heading], constants: Array, config: InitialiseConfig
+    t_ns: int, z: Position | Pose, at: Level, aid: Aid, seen: Heading, constants: Array, config: InitialiseConfig
 ) -> Hypotheses | None:
     """One levelled filter at a position fix with the measured heading; None where gravity contradicts.
 
-    The heading is fused, for the correlations with tilt and repeated errors.
+    The measurement is fused, for the correlations with tilt and repeated errors.
     """
-    sensor, seen = sensed
     north, east = (so3.matrix(so3.from_euler(at.roll, at.pitch, 0.0)) @ seen.direction_b).tolist()[:2]
-    begun = _levelled(t_ns, z, at, aid, seen.azimuth - math.atan2(east, north), NO_HEADING, constants, config)
+    begun = _levelled(t_ns, z, at, seen.azimuth - math.atan2(east, north), NO_HEADING, constants, config)
     if seen.objection(begun.x):
         return None
-    begun.update(innovation(begun, sensor, seen, np.zeros(3)))
+    begun.update(innovation(begun, aid, seen, np.zeros(3)))
     return Hypotheses([Hypothesis(begun, fused_ns=t_ns, run=1, run_ns=t_ns)])
 
 
@@ -204,13 +188,13 @@ def agrees(bank: Hypotheses, prior: Pose) -> bool:
     return False
 
 
-def heading_unknown(t_ns: int, z: Position | Pose, at: Level, aid: Aid, constants: Array, config: InitialiseConfig) -> Eskf:
+def heading_unknown(t_ns: int, z: Position | Pose, at: Level, constants: Array, config: InitialiseConfig) -> Eskf:
     """State at a position fix, heading unknown."""
-    return _levelled(t_ns, z, at, aid, 0.0, 2.0 * math.pi, constants, config)
+    return _levelled(t_ns, z, at, 0.0, 2.0 * math.pi, constants, config)
 
 
 def _levelled(
-    t_ns: int, z: Position | Pose, at: Level, aid: Aid, heading: float, sigma: float, constants: Array, config: InitialiseConfig
+    t_ns: int, z: Position | Pose, at: Level, heading: float, sigma: float, constants: Array, config: InitialiseConfig
 ) -> Eskf:
     x, cov = _unknown(at, config)
     x[X.Q] = so3.from_euler(at.roll, at.pitch, heading)
@@ -221,9 +205,7 @@ def _levelled(
     cov[E.P, E.THETA] = moved @ cov[E.THETA, E.THETA]
     cov[E.THETA, E.P] = cov[E.P, E.THETA].T
     cov[E.P, E.P] = z.noise[:3, :3] + _symmetric(moved @ cov[E.P, E.THETA].T)
-    begun = Eskf(t_ns, x, cov, constants)
-    _carry(begun, aid, np.r_[E.P], np.eye(3))
-    return begun
+    return Eskf(t_ns, x, cov, constants)
 
 
 def _lever(z: Position | Pose) -> Array:

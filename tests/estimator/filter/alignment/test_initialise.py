@@ -17,7 +17,6 @@ from estimator.filter.alignment.initialise import (
     start_from_position,
     weigh,
 )
-from estimator.filter.hypotheses import innovation
 from estimator.fusion import Fusion, FusionConfig
 from estimator.service.start import Start
 from estimator.sources.base.aid import Aid
@@ -198,16 +197,6 @@ def test_at_rest_it_waits_and_reports_it() -> None:
     assert "at rest" in run.health[-1].detail
 
 
-def test_a_start_at_rest_keeps_the_error_that_its_fixes_share() -> None:
-    """Every fix is 1.5 m off: fifty of them are no better than one."""
-    off = Origin(*HOME).to_geodetic(np.array([1.2, -0.9, 0.0]))
-    fixes: list[Input] = [GnssFix(t, t, *off, np.eye(3) * 0.25) for t in range(EPOCH_NS + 1, EPOCH_NS + 10 * SECOND, SECOND // 5)]
-    run = Run(Fusion(FusionConfig(origin=HOME))).feed(by_arrival([m for m in hover(10.0) if isinstance(m, ImuSample)] + fixes))
-    assert run.estimates
-    for estimate in run.estimates:
-        assert np.sqrt(np.diag(estimate.covariance)[E.P][:2]).min() > 1.4
-
-
 def test_until_it_is_aligned_health_reports_in_numbers_what_is_missing() -> None:
     """A hover without acceleration, GNSS alone: the heading never shows."""
     rng, origin = np.random.default_rng(0), Origin(*HOME)
@@ -248,35 +237,13 @@ LEVEL = Level(EPOCH_NS, 0.1, -0.05, 0.03, np.array([0.001, 0.002, 0.003]), 0.01,
 Z = Position(np.array([1.0, 2.0, 3.0]), np.eye(3) * 2.0, np.arange(3), np.zeros(3))
 
 
-def _aid(message: GnssFix | GnssVelocity, slow_sigma_m: float = 0.0) -> Aid:
-    config = GnssConfig(slow_sigma_m=slow_sigma_m)
-    aid = position_aid(message, config) if isinstance(message, GnssFix) else velocity_aid(message, config)
-    assert isinstance(aid, Aid)
-    return aid
-
-
-FIX = _aid(GnssFix(EPOCH_NS, EPOCH_NS, *HOME, np.eye(3)))
-
-
-def test_a_second_fix_of_the_same_slow_error_halves_the_new_part_alone() -> None:
-    aid = _aid(GnssFix(EPOCH_NS, EPOCH_NS, *HOME, np.eye(3)), slow_sigma_m=3.0)
-    z = Position(np.zeros(3), np.eye(3) * 0.5**2, np.arange(3), np.zeros(3))
-    prior = Pose(np.zeros(3), so3.from_euler(0.1, -0.05, 1.0), np.eye(3) * 0.02**2, np.arange(3, 6))
-    from_prior = start_from_attitude(EPOCH_NS, z, LEVEL, aid, prior, CONSTANTS, CONFIG)
-    assert from_prior is not None
-    for lead in (from_prior.lead, start_from_position(EPOCH_NS, z, LEVEL, aid, CONSTANTS, CONFIG).lead):
-        for white in (0.5**2, 0.5**2 / 2.0, 0.5**2 / 3.0):
-            np.testing.assert_allclose(lead.cov.diagonal()[E.P], np.array([9.0, 9.0, 36.0]) + white, rtol=1e-6)
-            lead.update(innovation(lead, aid, z, np.zeros(3)))
-
-
 def test_an_antenna_ahead_of_the_imu_begins_ahead_of_it() -> None:
     """P against drawn attitudes: p = z - R exp(theta) l - n, for each of the headings and for a prior attitude."""
     z, rng = Position(np.zeros(3), np.eye(3) * 0.3**2, np.arange(3), np.array([2.0, -1.0, -3.0])), np.random.default_rng(1)
     prior = Pose(np.zeros(3), so3.from_euler(0.01, -0.02, 1.0), np.diag([0.02, 0.02, 0.05]) ** 2, np.arange(3, 6))
-    from_prior = start_from_attitude(EPOCH_NS, z, LEVEL, FIX, prior, CONSTANTS, CONFIG)
+    from_prior = start_from_attitude(EPOCH_NS, z, LEVEL, prior, CONSTANTS, CONFIG)
     assert from_prior is not None
-    for member in (*start_from_position(EPOCH_NS, z, LEVEL, FIX, CONSTANTS, CONFIG).members, *from_prior.members):
+    for member in (*start_from_position(EPOCH_NS, z, LEVEL, CONSTANTS, CONFIG).members, *from_prior.members):
         x, cov = member.filter.x, member.filter.cov
         r_nb, of_attitude = so3.matrix(x[X.Q]), 1e-4 * cov[E.THETA, E.THETA]  # small: it is linear
         np.testing.assert_allclose(x[X.P], -r_nb @ z.lever_b, atol=1e-12)
@@ -288,7 +255,7 @@ def test_an_antenna_ahead_of_the_imu_begins_ahead_of_it() -> None:
 
 
 def test_the_bank_covers_the_circle_levelled() -> None:
-    bank = start_from_position(EPOCH_NS, Z, LEVEL, FIX, CONSTANTS, CONFIG)
+    bank = start_from_position(EPOCH_NS, Z, LEVEL, CONSTANTS, CONFIG)
     euler = np.array([so3.to_euler(m.filter.x[X.Q]) for m in bank.members])
     np.testing.assert_allclose(euler[:, 0], 0.1, atol=1e-9)
     np.testing.assert_allclose(euler[:, 1], -0.05, atol=1e-9)
@@ -304,8 +271,14 @@ def test_the_bank_covers_the_circle_levelled() -> None:
     assert not aligned(bank, CONFIG)
 
 
+def _aid(message: GnssFix | GnssVelocity) -> Aid:
+    aid = position_aid(message, GnssConfig()) if isinstance(message, GnssFix) else velocity_aid(message, GnssConfig())
+    assert isinstance(aid, Aid)
+    return aid
+
+
 def test_a_single_implausible_measurement_does_not_decide_the_heading() -> None:
-    bank = start_from_position(EPOCH_NS, Z, LEVEL, FIX, CONSTANTS, CONFIG)
+    bank = start_from_position(EPOCH_NS, Z, LEVEL, CONSTANTS, CONFIG)
     aid = _aid(GnssVelocity(EPOCH_NS, EPOCH_NS, (300.0, 0.0, 0.0), np.eye(3) * 0.01))
     z = aid.measurement(None)
     assert z is not None
