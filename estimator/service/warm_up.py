@@ -35,6 +35,7 @@ def _flight() -> list[Input]:
             north_m = _FALSE_M if k > 300 else 0.0
             messages.append(_pose_fix(validity_ns, t_ns, north_m, _NOT_GIVEN[k // 20 % len(_NOT_GIVEN)]))
             messages.append(_landmark_fix(validity_ns, t_ns, in_part=k % 40 == 0))
+        if k % 20 == 10:  # between two fixes: what a false one leaves undecided is published
             messages.append(GnssFix(t_ns, t_ns, *_PLACE, np.eye(3)))
             messages.append(GnssVelocity(t_ns, t_ns, (0.0, 0.0, 0.0), np.eye(3)))
     end_ns = messages[-1].t_ns + 300_000_000
