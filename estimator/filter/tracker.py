@@ -216,9 +216,9 @@ class Tracker:
     @property
     def needs_from_ns(self) -> int:
         """Oldest IMU sample that may be needed again."""
-        oldest, beside = self.core.stretch, self.alignment.without_sensor
-        if beside is not None and beside.stretch is not None and (oldest is None or beside.stretch.t_ns < oldest.t_ns):
-            oldest = beside.stretch
+        oldest, other = self.core.stretch, self.alignment.without_sensor
+        if other is not None and other.stretch is not None and (oldest is None or other.stretch.t_ns < oldest.t_ns):
+            oldest = other.stretch
         return _ALWAYS_NS if oldest is None else oldest.t_ns
 
     def propagate(self, samples: ImuBuffer, to_ns: int) -> None:

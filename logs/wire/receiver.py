@@ -1,4 +1,4 @@
-"""A receiver's flags of interference, also those that u-blox's ROS drivers publish beside NavSatFix.
+"""A receiver's flags of interference, also those that u-blox's ROS drivers publish in the namespace of NavSatFix.
 
 MON-HW and NAV-STATUS of ublox_msgs have UBX's own layout (u-blox M8 and F9 interface descriptions); SEC-SIG of ublox_ubx_msgs
 begins with a Header.
@@ -16,7 +16,7 @@ _HEAD: Final = 4  # bytes of encapsulation
 _SUSPECTED, _DETECTED = 2, 3  # of jamming and spoofing
 _STATE_BITS: Final = 12  # of NavSatStatus.service, where ReceiverState begins
 _FRESH_NS: Final = 5_000_000_000  # a driver that sends no flags any more reports nothing
-_BESIDE: Final = {  # name in the driver's namespace -> its type
+_FLAGS: Final = {  # name in the driver's namespace -> its type
     "monhw": "ublox_msgs/msg/MonHW",
     "navstatus": "ublox_msgs/msg/NavSTATUS",
     "ubx_sec_sig": "ublox_ubx_msgs/msg/UBXSecSig",
@@ -39,9 +39,9 @@ def reported(jamming: int, spoofing: int) -> ReceiverState:
 def state_of(schema: str, data: bytes) -> ReceiverState:
     """What a message of CDR bytes reports; too short: nothing."""
     try:
-        if schema == _BESIDE["monhw"]:
+        if schema == _FLAGS["monhw"]:
             return reported(data[_HEAD + 22] >> 2 & 3, 0)
-        if schema == _BESIDE["navstatus"]:
+        if schema == _FLAGS["navstatus"]:
             return reported(0, data[_HEAD + 7] >> 3 & 3)
         at = _after_header(data)  # version, detection enabled, state, detection enabled, state
         return reported(data[at + 2], data[at + 4])
@@ -50,14 +50,14 @@ def state_of(schema: str, data: bytes) -> ReceiverState:
 
 
 class ReceiverFlags:
-    """The newest flags beside each topic of NavSatFix, put into its messages."""
+    """The newest flags in the namespace of each topic of NavSatFix, put into its messages."""
 
     def __init__(self, fixes: Sequence[str]) -> None:
-        beside = {topic: topic.rpartition("/")[0] for topic in fixes}
+        namespaces = {topic: topic.rpartition("/")[0] for topic in fixes}
         self.topics: Mapping[str, str] = {
-            f"{where}/{name}": schema for where in beside.values() for name, schema in _BESIDE.items()
+            f"{where}/{name}": schema for where in namespaces.values() for name, schema in _FLAGS.items()
         }
-        self._beside = {topic: [f"{where}/{name}" for name in _BESIDE] for topic, where in beside.items()}
+        self._of_fix = {topic: [f"{where}/{name}" for name in _FLAGS] for topic, where in namespaces.items()}
         self._states: dict[str, tuple[int, ReceiverState]] = {}
 
     def hear(self, topic: str, data: bytes, now_ns: int) -> None:
@@ -66,7 +66,7 @@ class ReceiverFlags:
 
     def marked(self, topic: str, data: bytes, now_ns: int) -> bytes:
         """A NavSatFix with the flags in NavSatStatus.service, as landfix logs them."""
-        known = [self._states[name] for name in self._beside.get(topic, ()) if name in self._states]
+        known = [self._states[name] for name in self._of_fix.get(topic, ()) if name in self._states]
         state = max((s for t_ns, s in known if now_ns - t_ns < _FRESH_NS), default=ReceiverState.UNKNOWN)
         if state is ReceiverState.UNKNOWN:
             return data

@@ -86,7 +86,7 @@ def again_s(lead: Hypothesis, aid: Aid, *, vouched: bool) -> float:
     others = any(topic != aid.topic and not topic.startswith(own) for topic in lead.doubts)
     if vouched and not others:
         return max(lasts_s(aid.kind), AGAIN_S)
-    return AGAIN_S if others or aid.log_misled is None else _RECEIVER_S
+    return AGAIN_S if aid.log_misled is None else _RECEIVER_S
 
 
 def raise_alternative(members: list[Hypothesis], aid: Aid, fused: list[bool], *, vouched: bool) -> None:

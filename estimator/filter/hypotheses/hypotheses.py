@@ -135,14 +135,14 @@ class Hypotheses:
         if aid.absolute and not set_aside and not self._is_predicted(aid, passed):
             newborn = follower.begin(self.members[0], aid, z, gyro_b, limit, vouched=vouched)
         anew = aid.absolute and not set_aside and not passed[0] and aid.topic not in self.members[0].doubts
-        is_new = newborn is not None and not left_out.has_jumped(self.members, aid)
+        may_be_misled = newborn is not None and not left_out.has_jumped(self.members, aid)
         evidence = weighed(self.members, aid, seen, passed, vouched=vouched)
         born: list[Hypothesis] = []
         fused = self._answers(evidence, born, set_aside=set_aside)
         explained = not fused[0] and any(f and follower.is_new(m) for f, m in zip(fused, self.members, strict=True))
         if anew:
             follower.raise_alternative(self.members, aid, fused, vouched=vouched)
-        at_fix = left_out.moved(self.members[0], aid, z, gyro_b, seen[0]) if is_new and self.members[0].receiver else None
+        at_fix = left_out.moved(self.members[0], aid, z, gyro_b, seen[0]) if may_be_misled and self.members[0].receiver else None
         left_out.begin_again(self.members, aid, fused, at_fix, seen)
         if newborn:
             newborn.weight += self.members[0].weight
@@ -237,8 +237,7 @@ class Hypotheses:
         aid, seen, passed, again = e.aid, e.seen[k], e.passed[k], e.again[k]
         member, doubt = self.members[k], self.members[k].doubts.get(aid.topic)
         true = seen.log_likelihood
-        is_alone = bool(member.doubts.keys() - {aid.topic, aid.receiver})  # it refuses others, too
-        if (k > 0 or not passed or is_alone) and aid.receiver in member.doubts and e.by_receiver > -math.inf:
+        if (k > 0 or not passed) and aid.receiver in member.doubts and e.by_receiver > -math.inf:
             member.weight += max(e.by_receiver, aid.log_false)
             return False
         foretold = not aid.absolute and again is not None and again > true + MARGIN

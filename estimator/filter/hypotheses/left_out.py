@@ -27,7 +27,7 @@ def add(members: list[Hypothesis], aid: Aid) -> bool:
     if aid.log_misled is None or lead.doubts or any(m.without == aid.topic for m in members):
         return False
     members.append(_without(lead, aid.topic, aid.log_misled, aid.t_ns))
-    members[-1].begun_at_fix, members[-1].run = False, 0
+    members[-1].begun_at_fix = False
     return True
 
 
@@ -75,13 +75,9 @@ def is_confirmed(lead: Hypothesis, aid: Aid) -> bool:
 def end(lead: Hypothesis, aid: Aid, *, passed: bool) -> None:
     """Use the receiver again once its positions pass the leading hypothesis' gate without a break.
 
-    The first suffices where nothing else confirms it; where all else is refused, its readings are evidence again.
+    The first suffices where nothing else confirms it.
     """
     if not aid.absolute or lead.without != aid.topic:
-        return
-    if not passed and lead.rejected - {lead.without} and (aid.t_ns - lead.fused_ns) * 1e-9 > RUN_ENDS_S:
-        lead.without, lead.agreed_ns = "", None
-        lead.doubts[aid.topic] = Doubt(aid.t_ns, deliberate=False)
         return
     lead.agreed_ns = (aid.t_ns if lead.agreed_ns is None else lead.agreed_ns) if passed else None
     if lead.agreed_ns is None:
@@ -94,7 +90,7 @@ def end(lead: Hypothesis, aid: Aid, *, passed: bool) -> None:
 def has_jumped(members: list[Hypothesis], aid: Aid) -> bool:
     """Whether a fix that all refuse contradicts the last ones of its source, without a break: that is no fault of a receiver."""
     for member in members:
-        if member.without and member.without != aid.witness and member.run:
+        if member.without and member.without != aid.witness:
             doubt = member.doubts.get(aid.topic)
             last_ns = max(member.fused_ns, doubt.last_ns) if doubt else member.fused_ns
             return (aid.t_ns - last_ns) * 1e-9 < RUN_ENDS_S

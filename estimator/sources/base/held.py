@@ -20,7 +20,7 @@ _NAMES = ("gyroscope x", "gyroscope y", "gyroscope z", "accelerometer x", "accel
 
 
 def content(z: Measurement, other: bytes) -> bytes:
-    """Compared value without accuracy; a held position beside a live attitude is held, too."""
+    """Compared value without accuracy; of a pose the position, whatever its attitude does."""
     match z:
         case Pose() | Position() | Velocity():
             return z.z_n.tobytes()

@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from estimator.filter.eskf import Eskf
+from estimator.filter.hypotheses import Hypothesis
+from models.imu import Coast, ImuNoise, constants
 from models.messages import Array, PoseFix, Vec3, vec3
 from models.sim.scenario import EPOCH_NS, Simulation
-from models.state import E
+from models.state import E, X
 from tests.estimator.scenes import SECOND, Run, fly, position_errors, simulated
 
 JUMPS_NS = EPOCH_NS + 20 * SECOND
@@ -25,6 +28,34 @@ def _flown(simulation: Simulation, until_ns: int, off: Vec3, swing_rad_s: float 
     run = fly(simulation, messages=messages)
     sigma = np.array([np.sqrt(e.covariance[E.P, E.P].trace()) for e in run.estimates])
     return run, position_errors(run.estimates, simulation.truth), sigma
+
+
+def _hypothesis(fused_s: float) -> Hypothesis:
+    """At the origin with sigma 0.1 m, after a run of fixes from 0 s to fused_s."""
+    x = np.zeros(X.SIZE)
+    x[X.Q.start] = 1.0
+    eskf = Eskf(EPOCH_NS, x, 0.01 * np.eye(E.SIZE), constants(ImuNoise(), Coast(), None))
+    return Hypothesis(eskf, fused_ns=EPOCH_NS + round(fused_s * SECOND), run=9, run_ns=EPOCH_NS)
+
+
+@pytest.mark.parametrize(("off_m", "after_s", "is_noted"), [(5.0, 2.0, True), (0.3, 2.0, False), (5.0, 11.0, False)])
+def test_a_jump_is_one_that_neither_the_covariance_nor_dead_reckoning_explains(
+    off_m: float, after_s: float, is_noted: bool
+) -> None:
+    hypothesis = _hypothesis(20.0)
+    hypothesis.note_jump(np.array([off_m, 0.0, 0.0]), EPOCH_NS + round((20.0 + after_s) * SECOND))
+    assert (hypothesis.past is not None) == is_noted
+
+
+def test_the_older_run_fades_with_the_duration_of_the_newer_one() -> None:
+    hypothesis = _hypothesis(20.0)
+    hypothesis.note_jump(np.array([5.0, 0.0, 0.0]), EPOCH_NS + 21 * SECOND)
+    assert hypothesis.past is not None
+    assert hypothesis.past.added(EPOCH_NS + 41 * SECOND)[0, 0] == pytest.approx(2.5**2)  # half of the time, half of the way
+    hypothesis.note_fused(EPOCH_NS + 200 * SECOND)
+    assert hypothesis.past is not None
+    hypothesis.note_fused(EPOCH_NS + 202 * SECOND)
+    assert hypothesis.past is None
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +78,6 @@ def test_a_short_run_is_soon_forgotten(alone: Simulation) -> None:
 
 
 def test_a_true_receiver_leads_again_where_fixes_never_agree() -> None:
-    """An omitted receiver is judged again once the fixes are refused, too."""
+    """Fixes that swing by 10 m contradict the IMU and one another: the receiver is not left out for them."""
     _, errors, _ = _flown(simulated(WITH_GNSS, seed=3), EPOCH_NS + 99 * SECOND, (10.0, 0.0, 0.0), swing_rad_s=0.3)
     assert errors[-250:].max() < 12.0

@@ -39,6 +39,17 @@ def _without(p_n: Vec3, weight: float = 0.0, *, fused_ago_s: float = 0.0) -> Hyp
     return member
 
 
+def _judge_fix(bank: Hypotheses, p_n: Vec3) -> Aid:
+    """A pose fix at p_n, judged."""
+    aid = aid_of(pose_fix(EPOCH_NS, p_n))
+    assert isinstance(aid, Aid)
+    z = aid.measurement(None)
+    assert z is not None
+    assert not isinstance(z, tuple)
+    bank.judge(aid, z, np.zeros(3), trusted=True)
+    return aid
+
+
 def _gnss(p_n: Vec3) -> tuple[Aid, Measurement]:
     fix = GnssFix(EPOCH_NS, EPOCH_NS, *ORIGIN.to_geodetic(np.array(p_n)), np.eye(3))
     aid = position_aid(fix, GnssConfig())
@@ -140,11 +151,7 @@ def test_a_receiver_that_is_found_out_is_left_only_for_a_hypothesis_that_other_f
 
 def test_one_fix_raises_the_hypothesis_without_the_receiver_by_its_share_of_false_fixes_at_most() -> None:
     bank = Hypotheses([_member((0.0, 0.0, 0.0)), _without((5.0, 0.0, 0.0), -4.6)])
-    aid = aid_of(pose_fix(EPOCH_NS, (5.0, 0.0, 0.0)))
-    z = aid.measurement(None)
-    assert z is not None
-    assert not isinstance(z, tuple)
-    bank.judge(aid, z, np.zeros(3), trusted=True)
+    aid = _judge_fix(bank, (5.0, 0.0, 0.0))
     without = next(m for m in bank.members if m.without)
     assert without.weight - bank.members[0].weight == pytest.approx(-4.6 - math.log(aid.rules.false_share))
     reach = 2.8 * math.sqrt(np.linalg.eigvalsh(bank.covariance()[E.P, E.P])[-1])
@@ -158,11 +165,7 @@ def test_a_fix_that_nothing_predicted_shows_in_the_covariance_until_the_next_one
     lead.receiver = TOPIC, -4.6
     bank = Hypotheses([lead, *([_without((0.0, 0.0, 0.0), -4.6, fused_ago_s=10.0)] if goes_without else [])])
     for p_n, least_m, most_m in (((50.0, 0.0, 0.0), 50.0, 150.0), ((0.0, 0.0, 0.0), 0.0, 1.0)):
-        aid = aid_of(pose_fix(EPOCH_NS, p_n))
-        z = aid.measurement(None)
-        assert z is not None
-        assert not isinstance(z, tuple)
-        bank.judge(aid, z, np.zeros(3), trusted=True)
+        _judge_fix(bank, p_n)
         for at in range(2):  # readings of the receiver change nothing about it
             bank.judge(*_gnss((0.01 * at, 0.0, 0.0)), np.zeros(3), trusted=True)
         assert least_m < 2.8 * math.sqrt(np.linalg.eigvalsh(bank.covariance()[E.P, E.P])[-1]) < most_m
@@ -172,11 +175,7 @@ def test_a_jump_between_two_fixes_is_no_fault_of_the_receiver() -> None:
     """The hypothesis without the receiver fused the last fix a second ago: the fixes contradict one another."""
     bank = Hypotheses([_member((0.0, 0.0, 0.0)), _without((0.0, 0.0, 0.0), -4.6, fused_ago_s=1.0)])
     bank.members[0].receiver = TOPIC, -4.6
-    aid = aid_of(pose_fix(EPOCH_NS, (50.0, 0.0, 0.0)))
-    z = aid.measurement(None)
-    assert z is not None
-    assert not isinstance(z, tuple)
-    bank.judge(aid, z, np.zeros(3), trusted=True)
+    _judge_fix(bank, (50.0, 0.0, 0.0))
     without = next(m for m in bank.members if m.without)
     assert not without.begun_at_fix
     assert np.linalg.norm(without.filter.x[X.P]) < 1.0
