@@ -171,10 +171,14 @@ def test_a_fix_that_nothing_predicted_shows_in_the_covariance_until_the_next_one
         assert least_m < 2.8 * math.sqrt(np.linalg.eigvalsh(bank.covariance()[E.P, E.P])[-1]) < most_m
 
 
-def test_a_jump_between_two_fixes_is_no_fault_of_the_receiver() -> None:
-    """The hypothesis without the receiver fused the last fix a second ago: the fixes contradict one another."""
-    bank = Hypotheses([_member((0.0, 0.0, 0.0)), _without((0.0, 0.0, 0.0), -4.6, fused_ago_s=1.0)])
+@pytest.mark.parametrize("fused", [True, False])
+def test_a_jump_between_two_fixes_is_no_fault_of_the_receiver(*, fused: bool) -> None:
+    """The hypothesis without the receiver fused, or refused, the last fix a second ago: the fixes contradict one another."""
+    without = _without((0.0, 0.0, 0.0), -4.6, fused_ago_s=1.0 if fused else 10.0)
+    bank = Hypotheses([_member((0.0, 0.0, 0.0)), without])
     bank.members[0].receiver = TOPIC, -4.6
+    if not fused:
+        without.doubts[aid_of(pose_fix(EPOCH_NS, (50.0, 0.0, 0.0))).topic] = Doubt(EPOCH_NS - SECOND, deliberate=False)
     _judge_fix(bank, (50.0, 0.0, 0.0))
     without = next(m for m in bank.members if m.without)
     assert not without.begun_at_fix
