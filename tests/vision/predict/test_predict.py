@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 
 from benchmarks.fixes.outcome import outcome_of
-from benchmarks.fixes.outline import OFF_PX
-from benchmarks.fixes.outline_views import PRIOR_PX, decoy, draw, later, prior_of
 from benchmarks.fixes.single_fix_views import draw_view
 from models import so3
 from models.camera import StereoRig
@@ -20,6 +18,7 @@ from models.messages import Array
 from models.prior import Prior
 from tests import long
 from tests.vision.part_views import part_view
+from tests.vision.predict.views import PRIOR_PX, decoy, images_of, later, prior_of
 from tests.vision.roofs import nadir_rig
 from vision.identify.ambiguity import steps_off
 from vision.image.rectify import Image
@@ -122,11 +121,12 @@ def test_pale_roofs_that_no_colour_distinguishes_from_the_ground_give_a_fix(seed
 
 @pytest.mark.parametrize(("number", "off_px"), [(4, 160.0), (118, 120.0)])
 def test_one_roof_whose_size_the_search_mistakes_is_fitted_from_other_distances(number: int, off_px: float) -> None:
-    """Views 4 and 118 of benchmarks.fixes.outline: found, but as a roof of another size, half of its sides on edges."""
-    shown = draw(3001, number)
-    priors = {d: prior_of(shown.view, PRIOR_PX, d) for d in OFF_PX}
-    result = pipeline(shown.view.landmarks, shown.view.rig).process(*shown.images, 1, priors[off_px])
-    found = outcome_of(shown.view, result.pose, "")
+    """Found, but as a roof of another size, half of its sides on edges."""
+    view = draw_view(3001, number)
+    images = images_of(view)
+    priors = {d: prior_of(view, PRIOR_PX, d) for d in (20.0, 40.0, 80.0, 120.0, 160.0)}
+    result = pipeline(view.landmarks, view.rig).process(*images, 1, priors[off_px])
+    found = outcome_of(view, result.pose, "")
     assert result.fix is not None, result.report
     assert found.error_m < 1.2
     assert 3.0 * found.position < CHI2_9999_OF_3
@@ -422,7 +422,7 @@ def test_unknown_fields_are_refused() -> None:
 
 def test_every_position_that_is_nearly_as_good_is_a_rival() -> None:
     """A row of equal houses and a prior that is one house off: two of four places are excluded by it, two are as likely."""
-    view, (left, right), prior, _ = decoy(91, 93, "row")
+    view, (left, right), prior = decoy(91, 93, "row")
     result = pipeline(view.landmarks, view.rig).process(left, right, 0, prior)
     assert (result.fix, result.report.outcome) == (None, "ambiguous")
 
@@ -430,7 +430,7 @@ def test_every_position_that_is_nearly_as_good_is_a_rival() -> None:
 @pytest.mark.parametrize(("seed", "number", "kind"), [(1126, 29, "turned"), (1128, 53, "gone")])
 def test_where_the_bare_ground_covers_half_of_one_roof_nothing_stands(seed: int, number: int, kind: str) -> None:
     """Another roof of which three sides lie on edges: the rest of the outline is on grass, in the next image as well."""
-    view, images, prior, _ = decoy(seed, number, kind)
+    view, images, prior = decoy(seed, number, kind)
     decoyed = pipeline(view.landmarks, view.rig)
     assert decoyed.process(*images, 1, prior).fix is None
     _, images, prior = later(view, prior)
@@ -440,7 +440,7 @@ def test_where_the_bare_ground_covers_half_of_one_roof_nothing_stands(seed: int,
 @pytest.mark.parametrize(("number", "kind"), [(15, "gone"), (23, "shifted"), (26, "shifted")])
 def test_a_position_of_chance_is_no_fix_by_its_odds(number: int, kind: str) -> None:
     """Ground where nothing of the map stands. Odds apart, two images that agree make a fix of it, 6 to 35 m off and sure."""
-    view, images, prior, _ = decoy(95, number, kind)
+    view, images, prior = decoy(95, number, kind)
     moved, then, later_prior = later(view, prior)
     blind = PipelineConfig(
         path="predict", predict=PredictConfig(verify=VerifyConfig(odds=-1e3, weak_odds=-1e3, both_odds=-1e3, decides=1e-9))
@@ -458,7 +458,7 @@ def test_a_position_of_chance_is_no_fix_by_its_odds(number: int, kind: str) -> N
 @pytest.mark.parametrize(("kind", "number"), [("shifted", 71)])
 def test_one_landmark_seen_twice_is_not_confirmed_by_that(kind: str, number: int) -> None:
     """Odds of 3.5 and 2.9, 2.8 and 4.0, of one roof that lies on something else in both images, 20 and 8 m off."""
-    view, images, prior, _ = decoy(101, number, kind)
+    view, images, prior = decoy(101, number, kind)
     moved, then, later_prior = later(view, prior)
     wrong = []
     for both_odds in (7.0, 4.0):
@@ -473,7 +473,7 @@ def test_one_landmark_seen_twice_is_not_confirmed_by_that(kind: str, number: int
 @pytest.mark.parametrize(("decides_alike", "outcome"), [(6.6, "ambiguous"), (0.1, "fixed")])
 def test_in_a_row_one_house_more_in_view_does_not_decide(decides_alike: float, outcome: str) -> None:
     """Fifteen equal houses, and a prior one house off. There all of ten stand, at the true place nine: the tenth is cut."""
-    view, images, prior, _ = decoy(98, 15, "row")
+    view, images, prior = decoy(98, 15, "row")
     looking = PredictPath(view.rig, PredictConfig(verify=VerifyConfig(decides_alike=decides_alike)), PoseConfig(), 0.1)
     both = usable(*images, view.rig)
     assert isinstance(both, Images)
@@ -486,7 +486,7 @@ def test_in_a_row_one_house_more_in_view_does_not_decide(decides_alike: float, o
 
 def test_a_row_that_goes_on_in_the_map_is_no_position_however_many_of_it_are_found() -> None:
     """The prior is a house and 3.3 sigma off: the search meets a place two houses off, where all seven in view stand."""
-    view, images, prior, _ = decoy(203, 89, "row")
+    view, images, prior = decoy(203, 89, "row")
     looking = PredictPath(view.rig, PredictConfig(), PoseConfig(), 0.1)
     both = usable(*images, view.rig)
     assert isinstance(both, Images)
@@ -504,13 +504,12 @@ def test_a_row_that_goes_on_in_the_map_is_no_position_however_many_of_it_are_fou
 @pytest.mark.parametrize("number", [43, 87])
 def test_of_two_that_look_alike_both_seen_the_next_position_would_lack_one(number: int) -> None:
     """The prior reaches the place a step off; the image does not show there what the map has there."""
-    shown = draw(98, number)
-    prior = prior_of(shown.view, PRIOR_PX, 160.0)
-    landmarks = LandmarkMap.from_landmarks(ORIGIN, shown.view.landmarks)
-    result = LandmarkPipeline(shown.view.rig, landmarks, PipelineConfig(path="predict")).process(*shown.images, 1, prior)
+    view = draw_view(98, number)
+    images, prior = images_of(view), prior_of(view, PRIOR_PX, 160.0)
+    result = pipeline(view.landmarks, view.rig).process(*images, 1, prior)
     assert result.pose is not None, result.report
-    assert not outcome_of(shown.view, result.pose, "").wrong
-    marks = list(shown.view.landmarks)
+    assert not outcome_of(view, result.pose, "").wrong
+    marks = list(view.landmarks)
     alike = steps_off(result.pose.joint_p_n, marks, marks, prior.p_n, prior.covariance, 1e3, 1.0 / 3.0)
     assert len(alike) > 0
 

@@ -1,7 +1,7 @@
-"""Views for the outline path: those of single_fix_views, priors off by given pixels, outlines cut and hidden, decoys."""
+"""Views for the outline path: those of single_fix_views, priors off by given pixels, decoys."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,49 +16,35 @@ from vision.pose.sensitivity import eyes
 from vision.predict.motion import motion
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
-from vision.synthetic.render import render_labels, render_pair
+from vision.synthetic.render import render_pair
 from vision.synthetic.shapes import rectangle
 from vision.synthetic.texture import SURFACES
 from vision.synthetic.world import Appearance, Solid, Sun, World
 
 PRIOR_PX = 55.0  # 1 sigma of the shift: 3 sigma are the limit of the search
 TURN_DEG, TILT_DEG, HEIGHT = 2.0, 0.5, 0.03  # 1 sigma; HEIGHT of the height above ground
-DECOYS = ("turned", "shifted", "empty", "row", "gone", "one gone")
-_POINTS = 40  # of an outline, where its visible share is counted
 _ON, _TURN_RAD = 0.03, 0.02  # 1 sigma, from one image to the next: of the height flown on, and turned
 _SLIP_M, _SLIP_RAD = 0.03, 1e-3  # 1 sigma, by which dead reckoning errs over that
 
 
-@dataclass(frozen=True)
-class Shown:
-    """A view, its images and the share of the roofs' outlines that the left one shows."""
-
-    view: View
-    images: tuple[Image, Image]
-    share: float
+Pair = tuple[Image, Image]
 
 
-def draw(seed: int, number: int, *, partial: bool = False) -> Shown:
-    """A view as it is, or with its outlines cut by the border or hidden in part."""
-    view = draw_view(seed, number)
-    if partial:
-        share = view.rng.uniform(0.3, 1.0)
-        view = _cut(view, share) if view.rng.random() < 0.5 else _hidden(view, share)
-    return Shown(
-        view, render_pair(view.world, view.true_rig, view.p_n, view.R_nb, view.conditions, view.rng), visible_share(view)
-    )
+def images_of(view: View) -> Pair:
+    """Rendered."""
+    return render_pair(view.world, view.true_rig, view.p_n, view.R_nb, view.conditions, view.rng)
 
 
-def prior_of(view: View, sigma_px: float, off_px: float | None = None, *, only_shift: bool = False) -> Prior:
+def prior_of(view: View, sigma_px: float, off_px: float | None = None) -> Prior:
     """About the truth, drawn: the common shift of the outlines is known to sigma_px, as seen from the prior.
 
-    off_px: how far they are shifted, in a direction that is drawn; only_shift: and nothing else.
+    off_px: how far they are shifted, in a direction that is drawn.
     """
     tilt, turn = math.radians(TILT_DEG), math.radians(TURN_DEG)
     root = np.diag([0.0, 0.0, HEIGHT * view.cell.height_m, tilt, tilt, turn])
     unit, direction = view.rng.normal(size=6), view.rng.uniform(0.0, 2.0 * math.pi)
     shift = (off_px or 0.0) * np.array([math.cos(direction), math.sin(direction)])
-    error = np.zeros(6) if only_shift else root @ unit
+    error = root @ unit
     for _ in range(4):  # the prior's own view says how far a metre is
         J = _px_a_metre(view, _off(view, error, np.eye(6)))
         root[:2, :2] = sigma_px * np.linalg.inv(J[:, :2])
@@ -79,7 +65,7 @@ def _off(view: View, error: Array, covariance: Array) -> Prior:
     return Prior(view.p_n - error[:3], so3.normalise(q), covariance)
 
 
-def later(view: View, prior: Prior) -> tuple[View, tuple[Image, Image], Prior]:
+def later(view: View, prior: Prior) -> tuple[View, Pair, Prior]:
     """Half a second on: the view from there, its images, and the prior, which errs as before but for a slip."""
     rng = view.rng
     way, turn = rng.normal(size=3) * _ON * view.cell.height_m, so3.quat_exp(rng.normal(size=3) * _TURN_RAD)
@@ -87,87 +73,26 @@ def later(view: View, prior: Prior) -> tuple[View, tuple[Image, Image], Prior]:
     error = rng.normal(size=6) * slip
     moved = replace(view, p_n=view.p_n + way, R_nb=so3.matrix(turn) @ view.R_nb)
     q = so3.normalise(so3.multiply(so3.quat_exp(error[3:]), so3.multiply(turn, prior.q_nb_wxyz)))
-    images = render_pair(moved.world, moved.true_rig, moved.p_n, moved.R_nb, moved.conditions, rng)
-    return moved, images, Prior(prior.p_n + way + error[:3], q, prior.covariance + np.diag(slip**2))
+    return moved, images_of(moved), Prior(prior.p_n + way + error[:3], q, prior.covariance + np.diag(slip**2))
 
 
-def visible_share(view: View) -> float:
-    """Share of the points just inside the roofs' outlines that the left image shows."""
-    camera, (p_nc, R_nc) = view.true_rig.left, view.true_rig.camera_pose(view.p_n, view.R_nb)
-    labels = render_labels(view.world, camera, p_nc, R_nc)
-    shown = total = 0
-    for number, mark in enumerate(view.world.landmarks):
-        points = _along(mark.outline_n, mark.centre_n)
-        px = np.rint(camera.project((np.column_stack((points, np.full(len(points), mark.roof_d))) - p_nc) @ R_nc))
-        inside = camera.contains(px)
-        u, v = px[inside].astype(int).T
-        shown += int((labels[v, u] == number).sum())
-        total += len(points)
-    return shown / max(total, 1)
-
-
-def _along(outline_n: Array, centre_n: tuple[float, float]) -> Array:
-    """Points on an outline, drawn in by 4 % towards the centre."""
-    ends = np.roll(outline_n, -1, axis=0)
-    length = np.linalg.norm(ends - outline_n, axis=1)
-    counts = np.maximum(np.rint(_POINTS * length / length.sum()), 1).astype(int)
-    points = [a + (b - a) * ((np.arange(n) + 0.5) / n)[:, None] for a, b, n in zip(outline_n, ends, counts, strict=True)]
-    centre = np.array(centre_n)
-    return np.asarray(centre + 0.96 * (np.concatenate(points) - centre))
-
-
-def _cut(view: View, share: float) -> View:
-    """The camera moved aside until the border leaves `share` of the outlines."""
-    direction = view.rng.uniform(0.0, 2.0 * math.pi)
-    step = np.array([math.cos(direction), math.sin(direction), 0.0]) * view.cell.height_m
-    low, high = 0.0, 1.5
-    for _ in range(12):
-        middle = 0.5 * (low + high)
-        moved = replace(view, p_n=view.p_n + middle * step)
-        low, high = (middle, high) if visible_share(moved) > share else (low, middle)
-    return replace(view, p_n=view.p_n + low * step)
-
-
-def _hidden(view: View, share: float) -> View:
-    """Crowns of trees over the roofs' edges until they leave `share` of the outlines."""
-    clutter: list[Solid] = []
-    for _ in range(40):
-        grown = replace(view, world=replace(view.world, clutter=tuple(clutter)))
-        if visible_share(grown) <= share:
-            return grown
-        mark = view.world.landmarks[view.rng.integers(len(view.world.landmarks))]
-        points = _along(mark.outline_n, mark.centre_n)
-        centre = points[view.rng.integers(len(points))]
-        angle = -2.0 * math.pi * np.arange(10) / 10
-        radius = view.rng.uniform(0.1, 0.2) * mark.length_m * view.rng.uniform(0.8, 1.2, (10, 1))
-        outline = centre + radius * np.column_stack((np.cos(angle), np.sin(angle)))
-        b, g, r = (np.array([36.0, 72.0, 50.0]) * view.rng.uniform(0.7, 1.35)).tolist()
-        appearance = Appearance((b, g, r), (0.8 * b, 0.8 * g, 0.8 * r), "leaves", 0.3, 0.0, "leaves", 0.3)
-        clutter.append(Solid(outline, mark.base_d, mark.height_m + 0.05 * mark.length_m, appearance))
-    return grown
-
-
-def decoy(seed: int, number: int, kind: str) -> tuple[View, tuple[Image, Image], Prior, bool]:
-    """A view whose map or prior is wrong, its images, the prior, and whether a right fix is still possible."""
+def decoy(seed: int, number: int, kind: str) -> tuple[View, Pair, Prior]:
+    """A view whose map or prior is wrong (turned, shifted, gone or row), its images, and the prior."""
     view = _row(seed, number) if kind == "row" else draw_view(seed, number)
-    prior, possible = prior_of(view, PRIOR_PX), kind in {"shifted", "row", "one gone"}
+    prior = prior_of(view, PRIOR_PX)
     marks = view.landmarks
     if kind == "turned":
         marks = tuple(_turned(m, view.rng.uniform(0.45, 2.6), np.mean([m.centre_n for m in marks], axis=0)) for m in marks)
     elif kind == "shifted":
         angle, far = view.rng.uniform(0.0, 2.0 * math.pi), view.rng.uniform(300.0, 450.0) * view.cell.height_m / 600.0
         prior = Prior(prior.p_n + far * np.array([math.cos(angle), math.sin(angle), 0.0]), prior.q_nb_wxyz, prior.covariance)
-    elif kind in {"empty", "gone", "one gone"}:
-        left = {"empty": 0, "gone": 0, "one gone": len(marks) - 1}[kind]
-        world = replace(view.world, landmarks=view.world.landmarks[:left], appearances=view.world.appearances[:left])
-        view = replace(view, world=world)
-        if kind == "gone":  # something else stands or lies in its place
-            view = replace(view, world=replace(world, clutter=_instead(view)))
+    elif kind == "gone":  # something else stands or lies in its place
+        view = replace(view, world=replace(view.world, landmarks=(), appearances=(), clutter=_instead(view)))
     elif kind == "row":
         along = 1.0 if view.rng.random() < 0.5 else -1.0
         prior = Prior(prior.p_n + along * np.array([0.0, _period(view), 0.0]), prior.q_nb_wxyz, prior.covariance)
     view = replace(view, landmarks=marks)
-    return view, render_pair(view.world, view.true_rig, view.p_n, view.R_nb, view.conditions, view.rng), prior, possible
+    return view, images_of(view), prior
 
 
 def _turned(mark: Landmark, angle: float, about: Array) -> Landmark:

@@ -1,1 +1,0 @@
-"""Calibration against known truth and on published recordings."""

@@ -1,1 +1,0 @@
-"""Maps: a million footprints, footprints found in a satellite image."""
