@@ -20,6 +20,8 @@ from models.messages import Vec3
 
 DEFAULTED = ("height_m", "sigma_m", "ground_alt_m", "colour")  # properties that have a default
 FEW = "fewer than 3 corners"
+MOST_POINTS = 100_000  # of an outline that is looked at: the largest roofs have some hundred corners
+TOO_MANY = f"more than {MOST_POINTS} points: simplify the outline"
 _NO_LINE = "a line of longitude and latitude in degrees is needed: ogr2ogr -t_srs EPSG:4326 map.geojson FILE"
 
 _UNUSED_HEIGHT = "the third coordinate ({:g}) is not used: give ground_alt_m (above the ellipsoid) and height_m (above it)"
@@ -169,11 +171,13 @@ class Parts:
         attributes = map_properties.read(properties, self.defaults, side_sigma_m)
         self.remarks += [Finding(number, name, text) for text in attributes.remarks]
         positions = chain.from_iterable(chain.from_iterable(polygons))
-        heights = [position[2] for position in positions if len(position) > 2 and position[2] != 0.0]
-        if heights:
-            self.remarks.append(Finding(number, name, _UNUSED_HEIGHT.format(heights[0])))
+        height = next((position[2] for position in positions if len(position) > 2 and position[2] != 0.0), None)
+        if height is not None:
+            self.remarks.append(Finding(number, name, _UNUSED_HEIGHT.format(height)))
         for k, rings in enumerate(polygons, 1):
-            if any(len(position) < 2 for ring in rings for position in ring):
+            if sum(map(len, rings)) > MOST_POINTS:
+                self.rejected.append(Finding(number, name, TOO_MANY))
+            elif any(len(position) < 2 for ring in rings for position in ring):
                 self.rejected.append(Finding(number, name, "a position has fewer than two coordinates"))
             else:
                 flat = [[position[:2] for position in ring] for ring in rings]

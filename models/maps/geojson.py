@@ -18,7 +18,7 @@ from models.messages import Array, Vec3
 
 TOLERANCE_M = 0.005  # corners nearer than this to the line between their neighbours are none
 MIN_M2 = 0.01
-MAX_CORNERS = 1000
+MAX_CORNERS = polygon.LONG
 MAX_LENGTH_M = 2000.0
 MAX_DISTANCE_M = 100_000.0  # further out, "down" is 1 degree off the origin's
 

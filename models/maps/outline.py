@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from models import order as ordering
 from models.messages import Array
 
+LONG, ROUNDS = 1000, 64
 SIZE, WIDTH, LENGTH, FILL, ORIENTATION, NORTH, EAST, RADIUS = range(8)  # columns of describe
 
 
@@ -34,9 +35,12 @@ def area(outline: Array) -> float:
 def clean(outline: Array, tolerance_m: float) -> Array:
     """The outline without doubled, collinear or spike corners.
 
-    A corner goes if its triangle is thinner than tolerance_m; never two neighbours in a round.
+    A corner goes if its triangle is thinner than tolerance_m; never two neighbours in a round. An outline that still has more
+    than LONG corners after ROUNDS rounds is left so: a path that returns on itself loses one or two in a round.
     """
-    while len(outline) > 3:
+    rounds = 0
+    while len(outline) > 3 and (rounds < ROUNDS or len(outline) <= LONG):
+        rounds += 1
         kept = np.empty_like(outline)
         count, dropped_last, dropped_first = 0, False, False
         for k in range(len(outline)):

@@ -13,6 +13,7 @@ import numpy as np
 from estimator.map_files.extract import tables, text
 from estimator.map_files.extract.footprint import Footprint, Place, wrapped
 from estimator.map_files.terrain import Terrain
+from models.maps.features import MOST_POINTS, TOO_MANY
 from models.maps.landmarks import LandmarkMap
 from models.maps.table import Defaults, MapError
 from models.untrusted.boundary import refusing
@@ -80,7 +81,7 @@ def get(
     found: Counter[str] = Counter()
     attributions: dict[str, None] = {}
     ids: Counter[str] = Counter()
-    read, beyond = 0, 0
+    read, beyond, crowded = 0, 0, 0
     spread_m: dict[str, float] = {}
     if ground is not None:
         ground_alt_m = round(float(ground.terrain.at(np.array([[place.lon_deg, place.lat_deg]]))[0]), 2)
@@ -90,6 +91,9 @@ def get(
         for footprint in _footprints(path, place):
             read += 1
             if not place.holds(footprint.ring) or len(features) >= MOST:
+                continue
+            if len(footprint.ring) > MOST_POINTS:
+                crowded += 1
                 continue
             properties: dict[str, Any] = {}
             if ground is not None:
@@ -108,6 +112,8 @@ def get(
             progress((k + 1) / len(files))
     if beyond and not features:
         raise MapError(f"the height model reaches none of the {beyond} landmarks")
+    if crowded and not features:
+        raise MapError(f"{source}: its outline there has {TOO_MANY}")
     if not features:
         where = f"within {place.radius_m / 1000:g} km of {place.lat_deg:g}, {place.lon_deg:g}"
         raise MapError(f"{source}: none of its {read} polygons lies {where}" if read else f"{source}: holds no polygon {where}")
@@ -125,6 +131,8 @@ def get(
         the_map = _uncertain(the_map, spread_m)
     if beyond:
         notes.append(f"{beyond} landmarks are left out: the height model does not reach them")
+    if crowded:
+        notes.append(f"{crowded} polygons are left out: {TOO_MANY}")
     with_height = len(the_map) - the_map.report.missing.get("height_m", 0)
     return the_map, Got(len(the_map), read, with_height, dict(found), credit, tuple(notes))
 

@@ -217,6 +217,14 @@ def test_too_many_corners() -> None:
     assert [finding.text for finding in the_map.report.rejected] == ["more than 1000 corners: simplify the outline"]
 
 
+def test_an_outline_of_very_many_points_is_refused_before_it_costs_time() -> None:
+    """A path there and back, which loses two corners a round; and more points than any roof has."""
+    zigzag = [[8.5 + 1e-4 * (k % 2), 47.4 + 1e-7 * k] for k in range(20_000)]
+    (back,) = read(feature([zigzag + zigzag[::-1]])).report.rejected
+    (many,) = read(feature([zigzag * 6])).report.rejected
+    assert (back.text, many.text[:23]) == ("more than 1000 corners: simplify the outline", "more than 100000 points")
+
+
 @pytest.mark.parametrize(
     ("data", "said"),
     [

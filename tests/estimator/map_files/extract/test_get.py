@@ -163,3 +163,15 @@ def test_features_that_make_no_sense_do_not_stop_the_others(tmp_path: Path) -> N
     document["features"] = [*bad, 7, *document["features"]]
     (tmp_path / "b.geojson").write_text(json.dumps(document))
     assert len(of(tmp_path / "b.geojson")[0]) == 4
+
+
+def test_an_outline_of_very_many_points_is_left_out(tmp_path: Path) -> None:
+    document = json.loads(extracts.geojson(tmp_path / "a.geojson").read_text())
+    first = document["features"][0]
+    large = {**first, "geometry": {"type": "Polygon", "coordinates": [first["geometry"]["coordinates"][0] * 25_000]}}
+    (tmp_path / "b.geojson").write_text(json.dumps({**document, "features": [large, *document["features"]]}))
+    the_map, got = of(tmp_path / "b.geojson")
+    assert (len(the_map), got.notes[-1][:26]) == (4, "1 polygons are left out: m")
+    (tmp_path / "c.geojson").write_text(json.dumps({**document, "features": [large]}))
+    with pytest.raises(MapError, match="more than 100000 points: simplify"):
+        of(tmp_path / "c.geojson")
