@@ -1,16 +1,22 @@
-"""Radius of the circle, reach of the ellipsoid, of a probability."""
+"""Chi-square quantile, radius of the circle, reach of the ellipsoid, of a probability."""
 
 import math
-from functools import cache
+from functools import cache, lru_cache
 from typing import Final
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from models.messages import Array
 
 _RATIOS: Final = 1025  # of the table: linear between them, error below 1e-6
 _ANGLES: Final = 64
+
+
+@lru_cache(maxsize=256)
+def chi_square(probability: float, dof: float) -> float:
+    """Quantile of chi-square of dof: 2 P^-1(dof / 2, probability), P the regularised lower incomplete gamma function."""
+    return 2.0 * float(gammaincinv(0.5 * dof, probability))
 
 
 def horizontal_radius(covariance: Array, probability: float = 0.95) -> Array:
@@ -36,7 +42,7 @@ def reach(covariance: Array, probability: float = 0.95) -> float:
     """
     if not np.isfinite(covariance).all():
         return math.nan
-    return math.sqrt(float(chi2.ppf(probability, 3)) * max(float(np.linalg.eigvalsh(covariance)[-1]), 0.0))
+    return math.sqrt(chi_square(probability, 3) * max(float(np.linalg.eigvalsh(covariance)[-1]), 0.0))
 
 
 @cache

@@ -4,16 +4,15 @@ Positions (n, 3) m, quaternions (n, 4) wxyz body -> map, errors true minus estim
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Literal, TypeAlias
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 from models.messages import Array
+from models.radius import chi_square
 
 Times: TypeAlias = NDArray[np.int64]
 Indices: TypeAlias = NDArray[np.intp]
@@ -174,12 +173,7 @@ def _definite(covariance: Array) -> Mask:
 def chi2_band(dof: float, probability: float = 0.95) -> tuple[float, float]:
     """Two-sided chi-square interval of dof with the given probability."""
     tail = 0.5 * (1.0 - probability)
-    return _quantile(tail, dof), _quantile(1.0 - tail, dof)
-
-
-@lru_cache(maxsize=64)
-def _quantile(probability: float, dof: float) -> float:
-    return float(chi2.ppf(probability, dof))
+    return chi_square(tail, dof), chi_square(1.0 - tail, dof)
 
 
 def effective_samples(x: Array) -> float:
@@ -241,7 +235,7 @@ def consistency(values: Array, dof: int, n_effective: float | None = None) -> Co
         n_effective=n_eff,
         band=(low / (n_eff * dof), high / (n_eff * dof)),
         inside=float(np.mean((values >= sample_low) & (values <= sample_high))),
-        covered=float(np.mean(values <= _quantile(0.95, dof))),
+        covered=float(np.mean(values <= chi_square(0.95, dof))),
     )
 
 

@@ -25,12 +25,12 @@ from pymavlink import DFReader
 from scipy.ndimage import minimum_filter1d
 
 from logs.importers import frames, recording, sensors, simulator, steps
-from logs.importers.quiet import silence
 from logs.importers.recording import DEFAULTS, EPOCH_NS, ImportOptions, Progress, Recording, Stream, Times
 from logs.importers.settings import Settings
 from logs.store.reader import LogError
 from models.messages import Array, Vec3
 from models.untrusted.file import opened
+from models.untrusted.quiet import silence
 
 _MAGIC = b"\xa3\x95"
 _TIME = "time_us"  # since boot; the first column of every table

@@ -22,12 +22,12 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from logs.importers import frames, recording, sensors, steps
-from logs.importers.quiet import silence
 from logs.importers.recording import DEFAULTS, EPOCH_NS, ImportOptions, Progress, Recording, Stream, Times
 from logs.importers.settings import Settings
 from logs.store.reader import LogError
 from logs.wire.receiver import receiver_state
 from models.messages import Array, Vec3
+from models.untrusted.quiet import silence
 
 Topic: TypeAlias = Mapping[str, Any]  # field -> column
 

@@ -81,9 +81,9 @@ def _files(source: str) -> list[str]:
 
 
 def _still(path: Path, k: int) -> Iterator[SourceImage]:
-    from logs.importers.quiet import silence
     from logs.wire.images import ImageError, decode_file
     from models.untrusted.file import content
+    from models.untrusted.quiet import silence
 
     numbers = re.findall(r"\d+", path.stem)
     key = int(numbers[-1]) if numbers else -1 - k

@@ -1,16 +1,12 @@
 """Tests on innovations: is one too large (chi-square), is their mean off (CUSUM)?"""
 
-from functools import cache
-
-from scipy.stats import chi2
-
 from models.messages import Array
+from models.radius import chi_square
 
 
-@cache
 def gate(probability: float, dof: int) -> float:
     """Chi-square quantile of `dof` at `probability`."""
-    return float(chi2.ppf(probability, dof))
+    return chi_square(probability, dof)
 
 
 def cusum(sums: tuple[float, ...], nu: Array, sigma: Array, slack: float) -> tuple[float, ...]:
