@@ -4,6 +4,11 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PYTEST := MPLBACKEND=Agg $(BIN)/python -m pytest
+# Three workers on two cores: a fifth of the tests' time is waiting, for a daemon's second or for a process to start.
+WORKERS := -n 3 --dist worksteal
+
+# Many containers set it. Every process that a test starts would then compile all that it imports: seconds each.
+unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
@@ -15,14 +20,14 @@ help:  ## this list
 demo: install  ## the main job: a simulated flight, GPS cut off; says where the report is
 	$(BIN)/landfix demo
 
-# Types are checked on one core while the tests begin on both: 100 s, and no test of the first minutes is one of real time.
+# Types are checked beside the first tests: 100 s, and no test of the first minutes is one of real time.
 test: install  ## check and all tests but the long ones; the exit code tells of both
 	@mkdir -p out; { $(MAKE) --no-print-directory check >out/check.log 2>&1 || { cat out/check.log; exit 1; }; } & checks=$$!; \
-	status=0; $(PYTEST) -n 2 --dist worksteal || status=$$?; \
+	status=0; $(PYTEST) $(WORKERS) || status=$$?; \
 	wait $$checks || { echo "make check failed: out/check.log"; status=1; }; exit $$status
 
 test-long: install  ## the tests that make test leaves out: campaigns in small, many cases of one kind, whole flights (half an hour)
-	$(PYTEST) -n 2 --dist worksteal -m long
+	$(PYTEST) $(WORKERS) -m long
 
 # The golden trajectory, the models, the sensors, the wire and the rules of the repository: 70 s of the processor.
 quick: install  ## the tests of a minute: golden bits, models, sensors, messages, rules of the repository
