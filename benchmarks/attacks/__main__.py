@@ -1,6 +1,6 @@
 """Hostile files, arguments, configurations, states and messages against landfix: one row a cell.
 
-    python -m benchmarks.attacks [--areas log import ...] [--cases ../shared/cases] [--out benchmarks/results/attacks.json]
+    python -m benchmarks.attacks [--areas log import ...] [--cases ../shared/cases] [--out FILE.jsonl] [--resume]
 
 A cell is held where the command ends by itself, within 10 s of CPU and 1 GB, with the right exit code and one line that says
 why; degraded where that is so but for the words; failed otherwise. The last three areas are a daemon's: it starts whatever its
@@ -11,14 +11,15 @@ late; as much of the log lost as was underway on a busy machine.
 
 import argparse
 import importlib
-import json
 import os
 import pkgutil
 import re
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from itertools import chain
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import msgspec
@@ -33,30 +34,42 @@ from benchmarks.attacks.cell import Cell, Row
 from estimator.service.warm_up import warm_up
 from estimator.version import version
 
+
+class Live(NamedTuple):
+    """What is done to a daemon; rows: the areas of its rows."""
+
+    of: Callable[[Path], Iterator[Row]]
+    rows: tuple[str, ...]
+
+
 AREAS = {
     "log": files.logs, "import": files.importers, "map": files.maps, "image": files.images,
     "configuration": typed.configurations, "argument": typed.arguments,
 }  # fmt: skip
 LIVE = {  # last, in this order: after messages nothing can be forked
-    "state file": live.state_files, "kills": live.kills, "messages": live.messages,
-}  # fmt: skip
+    "state file": Live(live.state_files, ("state file",)),
+    "kills": Live(live.kills, ("kill -9",)),
+    "messages": Live(live.messages, ("zenoh", "mavlink", "burst")),
+}
 _RARE = re.compile(r"__main__|bench|fleet|plot|report|evidence|tune|overlay")
 _CASES = Path(os.environ.get("LANDFIX_DATA", "../shared/data")).parent / "cases"
 
 
-def rows(folder: Path, cases: Path, areas: Iterable[str], only: Sequence[str] = (), *, shared: bool = False) -> Iterator[Row]:
-    """The cells whose name contains one of `only`, in turn; shared: of those, the ones with a file of the shared cases."""
+def rows(
+    folder: Path, cases: Path, areas: Iterable[str], only: Sequence[str], known: Collection[tuple[str, str]], *, shared: bool
+) -> Iterator[Row]:
+    """The cells whose name contains one of `only`, in turn, but for `known` areas and names; shared: those with a shared file."""
     _load()
     files.prepare(folder)
-    known = [path.name.removesuffix(".xz") for part in ("attacks", "turn3") for path in (cases / part).glob("*.*")]
+    files_shared = [path.name.removesuffix(".xz") for part in ("attacks", "turn3") for path in (cases / part).glob("*.*")]
     for area in areas:
         if area in LIVE:
             warm_up()  # before a daemon is forked
-            yield from LIVE[area](folder)
+            yield from LIVE[area].of(folder)
             continue
         for cell in AREAS[area](folder, cases):
-            wanted = not only or any(part in cell.name for part in only)
-            if wanted and (not shared or any(name in cell.name for name in known)):
+            wanted = (cell.area, cell.name) not in known and (not only or any(part in cell.name for part in only))
+            if wanted and (not shared or any(name in cell.name for name in files_shared)):
                 yield _row(cell, folder)
 
 
@@ -82,20 +95,25 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", default=[], help="cells whose name contains one of these")
     parser.add_argument("--shared", action="store_true", help="cells with a file of the shared cases")
     parser.add_argument("--cases", type=Path, default=_CASES, help="folder of shared cases")
-    parser.add_argument("--out", type=Path, help="rows as JSON")
+    parser.add_argument("--out", type=Path, default=Path("out/attacks.jsonl"), help="a line a row, as it comes")
+    parser.add_argument("--resume", action="store_true", help="the files' cells in --out are kept")
     given = parser.parse_args()
-    done: list[Row] = []
-    with tempfile.TemporaryDirectory() as name:
-        for row in rows(Path(name), given.cases.resolve(), given.areas, given.only, shared=given.shared):
-            done.append(row)
-            if row.verdict != "held" or given.only:
-                print(row.verdict, row.area, row.name, f"{row.cpu_s} s", row.reason, "|", row.said, flush=True)
+    again = {area for name in given.areas if name in LIVE for area in LIVE[name].rows}
+    lines = given.out.read_bytes().splitlines() if given.resume and given.out.is_file() else []
+    done = [row for row in map(msgspec.json.Decoder(Row).decode, lines) if row.area not in again]
+    known = {(row.area, row.name) for row in done}
+    given.out.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as name, given.out.open("wb") as file:
+        cells = rows(Path(name), given.cases.resolve(), given.areas, given.only, known, shared=given.shared)
+        for row in chain(done[:], (msgspec.structs.replace(row, version=version()) for row in cells)):
+            file.write(msgspec.json.encode(row) + b"\n")
+            file.flush()
+            if (row.area, row.name) not in known:
+                done.append(row)
+                if row.verdict != "held" or given.only:
+                    print(row.verdict, row.area, row.name, f"{row.cpu_s} s", row.reason, "|", row.said, flush=True)
     counts = Counter(row.verdict for row in done)
     print(f"{len(done)} cells: {dict(counts)}")
-    if given.out:
-        document = {"version": version(), "command": "python -m benchmarks.attacks", "counts": counts}
-        lines = ",\n".join(json.dumps(msgspec.to_builtins(row)) for row in done)
-        given.out.write_text(f'{json.dumps(document, indent=1)[:-2]},\n "rows": [\n{lines}\n]}}\n')
     raise SystemExit(bool(counts["failed"]))
 
 

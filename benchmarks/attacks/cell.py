@@ -24,3 +24,4 @@ class Row(msgspec.Struct, frozen=True):
     code: int
     cpu_s: float
     said: str
+    version: str = ""

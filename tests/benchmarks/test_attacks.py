@@ -19,13 +19,13 @@ CASES = Path(os.environ.get("LANDFIX_DATA", ROOT.parent / "shared" / "data")).pa
 def test_every_shared_attack_ends_in_one_line(areas: list[str], least: int, tmp_path: Path) -> None:
     if not (CASES / "attacks").is_dir():
         pytest.skip("no shared cases: set LANDFIX_DATA to the data folder that they lie beside")
-    words = "--shared", "--areas", *areas, "--cases", str(CASES), "--out", str(tmp_path / "rows.json")
+    words = "--shared", "--areas", *areas, "--cases", str(CASES), "--out", str(tmp_path / "rows.jsonl")
     process = subprocess.run(
         [sys.executable, "-m", "benchmarks.attacks", *words], cwd=ROOT, env=environment(), capture_output=True, text=True,
         check=False,
     )  # fmt: skip
     assert process.returncode == 0, process.stdout
-    rows = json.loads((tmp_path / "rows.json").read_text())["rows"]
+    rows = [json.loads(line) for line in (tmp_path / "rows.jsonl").read_text().splitlines()]
     assert len(rows) > least
     assert {row["verdict"] for row in rows} == {"held"}
     assert all(row["said"] for row in rows)
