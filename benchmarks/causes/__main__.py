@@ -21,7 +21,7 @@ from models.messages import GnssFix, GnssVelocity, ImuSample, Input, OdometryPos
 
 FLIGHTS: Final = {  # folder -> topics by kind of fault
     "inertialnav_logs/quad106": ("imu", "gnss", "velocity", "baro"),
-    "umn_thor75": ("imu", "gnss", "velocity", "baro", "field"),
+    "umn_thor75": ("imu", "gnss", "moving", "velocity", "baro", "field"),
     "rtk_drive_walk/drive_0708": ("imu", "gnss", "velocity"),
     "quad_rtk_dot/flight_a": ("imu", "gnss"),
     "euroc/V1_01_easy": ("imu", "pose", "odometry", "turning"),
@@ -29,7 +29,7 @@ FLIGHTS: Final = {  # folder -> topics by kind of fault
     "euroc/V2_02_medium": ("imu", "pose", "odometry", "turning"),
 }
 _KINDS: Final[dict[str, type]] = {"imu": ImuSample, "turning": ImuSample,
-                 "gnss": GnssFix, "velocity": GnssVelocity, "pose": PoseFix,
+                 "gnss": GnssFix, "moving": GnssFix, "velocity": GnssVelocity, "pose": PoseFix,
                  "odometry": OdometryPose}  # fmt: skip
 _READINGS: Final = {"baro": "baro", "field": "magnetometer"}
 _LONG_S: Final = 80.0

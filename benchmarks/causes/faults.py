@@ -187,6 +187,11 @@ def _reading(change: Callable[[np.ndarray], np.ndarray]) -> Change:
     return changed
 
 
+def _noise(of: Callable[[Callable[[np.ndarray], np.ndarray]], Change], sigma: float) -> Change:
+    """White, on each component."""
+    return lambda m, rng: of(lambda v: v + sigma * rng.normal(size=v.shape))(m, rng)
+
+
 def _pose(turn: bool, factor: float) -> Change:
     def changed(m: Messages, rng: np.random.Generator) -> Messages:
         axis, angle = "zyx"[int(rng.integers(3))], float(rng.choice([-90.0, 45.0, 90.0, 180.0]))
@@ -305,8 +310,20 @@ def late(m: Messages, rng: np.random.Generator) -> Messages:
     return [replace(x, t_ns=x.t_ns + by, arrived_ns=x.arrived_ns + by) for x in m]
 
 
+def minutes(deg: float) -> float:
+    """ddmm.mmmm / 100."""
+    return float(np.trunc(deg) + 0.6 * (deg - np.trunc(deg)))
+
+
+def reset(m: Messages, rng: np.random.Generator) -> Messages:
+    """An odometry that begins anew."""
+    far = rng.uniform(4.0, 20.0) * np.array([*np.sign(rng.normal(size=2)), 0.0])
+    return later(_moved_pose(lambda p, q: (p - far, q)))(m, rng)
+
+
 DEG: Final = 180.0 / np.pi
 _INVERSE: Final = (1.0, -1.0, -1.0, -1.0)
+_FORCE: Final = np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
 _ALL = ("imu", "gnss", "velocity", "pose", "baro", "field")
 _STEPS, _SPEED = ("jump", "fall back"), ("times the speed", "drift")
 FAULTS: Final[dict[str, Fault]] = {
@@ -335,15 +352,23 @@ FAULTS: Final[dict[str, Fault]] = {
     **{f"{kind} stamps stop": Fault(kind, stamps_stop, ("stamps",)) for kind in ("imu", "gnss")},
     "imu stamps jitter": Fault("imu", jitter, ("go back",)),
     **{f"imu {name}": Fault("imu", change, ("missing",)) for name, change in (("loses samples", lost), ("has holes", holes))},
+    "imu sensors exchanged": Fault("imu", _imu(lambda v: v[[3, 4, 5, 0, 1, 2]]), ("are exchanged",)),
+    "imu reversed force": Fault("imu", _imu(lambda v: v * [1, 1, 1, -1, -1, -1]), ("the other sign",)),
+    "imu of other bytes": Fault("imu", _imu(lambda v: v.astype("<f4").view(">f4").astype(float)), ("no sensor", "not a number")),
+    "imu shaken": Fault("imu", later(lambda m, r: _imu(lambda v: v + 20.0 * r.normal(size=6) * _FORCE)(m, r)), ("scatter",)),
+    "gyro of another scale": Fault("turning", _imu(lambda v: v * [2, 2, 2, 1, 1, 1]), ("it turns 2",)),
     "gyro offset": Fault("turning", _imu(lambda v: np.add(v, [0.2, -0.1, 0.3, 0.0, 0.0, 0.0])), ("gyroscope",)),
     "gyro rounded": Fault("imu", _imu(lambda v: np.array([*(0.05 * np.round(20.0 * v[:3])), *v[3:]])), ("rounded",)),
     "gnss spoofed": Fault("gnss", elsewhere, ("jump",)),
     "gnss outliers": Fault("gnss", outliers, ("jump", "scatter")),
+    "gnss sometimes at 0, 0": Fault("gnss", _fix(lambda a, b, r: (0.0, 0.0) if r.random() < 0.3 else (a, b)), ("latitude 0",)),
+    "gnss minutes": Fault("gnss", _fix(lambda a, b, _: (minutes(a), minutes(b))), ("minutes are written",)),
     "gnss of 4 digits": Fault("gnss", _rounded(4), ("rounded",)),
     "gnss in 1e-7 degrees": Fault("gnss", _fix(lambda a, b, _: (1e7 * a, 1e7 * b)), ("degrees",)),
     "gnss sure of itself": Fault("gnss", lambda m, _: [replace(x, covariance_n=1e-8 * np.eye(3)) for x in m], ("accuracy",)),
     "velocity of the body": Fault("velocity", _velocity(lambda v: np.array([np.hypot(v[0], v[1]), 0.0, v[2]])), ("body",)),
-    **{f"{kind} late": Fault(kind, late, ("late",)) for kind in ("pose", "odometry")},
+    **{f"{kind} late": Fault(kind, late, ("late",)) for kind in ("pose", "odometry", "moving")},
+    "odometry reset": Fault("odometry", reset, ("jump",)),
     "pose inverse": Fault("pose", _moved_pose(lambda p, q: (p, q * _INVERSE)), ("inverse",)),
     "odometry inverse": Fault("odometry", _moved_pose(lambda p, q: (p, q * _INVERSE)), ("inverse",)),
     "pose x, y, z, w": Fault("pose", _moved_pose(lambda p, q: (p, q[[1, 2, 3, 0]])), ("x, y, z, w",)),
@@ -351,6 +376,8 @@ FAULTS: Final[dict[str, Fault]] = {
     "pose of another map": Fault("pose", later(_moved_pose(lambda p, q: (np.add(p, [9.0, -12.0, 1.0]), q))), ("jump",)),
     "pose in centimetres": Fault("pose", _moved_pose(lambda p, q: (100.0 * p, q)), ("centimetres",)),
     "odometry twice as long": Fault("odometry", _moved_pose(lambda p, q: (2.0 * p, q)), ("times too large",)),
+    "velocity noise": Fault("velocity", later(_noise(_velocity, 6.0)), ("scatter",)),
+    "baro noise": Fault("baro", later(_noise(_reading, 300.0)), ("scatter",)),
     "baro jumps": Fault("baro", later(_reading(lambda v: v + 500.0)), ("jump",)),
     "gnss exchanged": Fault("gnss", _fix(lambda a, b, _: (b, a)), ("exchanged",)),
     "gnss longitude sign": Fault("gnss", _fix(lambda a, b, _: (a, -b)), ("wrong sign",)),

@@ -17,6 +17,7 @@ _DRIFTED_S: Final = 0.1
 _SIGNIFICANT: Final = 8.0  # standard errors
 _STEP_S: Final = 0.1
 _STEP_WINDOW_S: Final = 2.0
+_TOGETHER_S: Final = 3.0  # receivers of 1 Hz
 _STEADY: Final = 0.2  # of a step: what offsets scatter before and after it
 _IMU_AHEAD_S, _AHEAD_S = 0.05, 0.3  # a delay as typed, or estimated, may be as large
 _IMU_LATE_S, _LATE_S = 0.5, 6.0  # later measurements are too old for the default history
@@ -106,10 +107,36 @@ def batches(stream: Stream) -> Cause | None:
     )  # fmt: skip
 
 
+def together(stream: Stream, others: list[Stream]) -> Cause | None:
+    """The stamps of an IMU and of all others jump by one amount at one time."""
+    found = _jump(stream) if stream.kind == IMU else None
+    if found is None:
+        return None
+    at, size = found
+    since_s = float(stream.arrived_s[at])
+    for other in others:
+        k, theirs = _jump(other) or (0, 0.0)
+        if abs(theirs - size) > _STEADY * abs(size) or abs(other.arrived_s[k] - since_s) > _TOGETHER_S:
+            return None
+    what = f"its stamps jump by {size:+.2f} s" + (", and those of all others with them" if others else " and stay")
+    return Cause(what, since_s, "the log was played again, or the clock of the machine was set: cut it there")
+
+
 def step(stream: Stream, others: list[Stream]) -> Cause | None:
     """Stamps jump by > 0.1 s, steady for 2 s before and after."""
-    if not _agree(others):
+    found = _jump(stream)
+    if found is None or not _agree(others):
         return None
+    at, size = found
+    name = _known(size)
+    return Cause(
+        f"its stamps jump by {size:+.2f} s and stay" + (f": {name}" if name else ""), float(stream.arrived_s[at]),
+        "the sender's clock was set or wrapped: add the step to its later stamps, or cut the log there",
+    )  # fmt: skip
+
+
+def _jump(stream: Stream) -> tuple[int, float] | None:
+    """Row and size [s] of a step of the offset."""
     offset = _offset(stream)
     width = max(5, round(_STEP_WINDOW_S * len(offset) / max(float(np.ptp(stream.arrived_s)), 1e-9)))
     at = int(np.argmax(np.abs(np.diff(offset)))) + 1
@@ -123,11 +150,7 @@ def step(stream: Stream, others: list[Stream]) -> Cause | None:
     steady = max(_spread(before), _spread(after)) < _STEADY * abs(size)
     if abs(size) < max(_STEP_S, 3.0 * usual) or abs(leap - size) > 0.5 * abs(size) or not steady:
         return None
-    name = _known(size)
-    return Cause(
-        f"its stamps jump by {size:+.2f} s and stay" + (f": {name}" if name else ""), float(stream.arrived_s[at]),
-        "the sender's clock was set or wrapped: add the step to its later stamps, or cut the log there",
-    )  # fmt: skip
+    return at, size
 
 
 def rate(stream: Stream, others: list[Stream]) -> Cause | None:

@@ -22,6 +22,7 @@ _UPRIGHT: Final = 0.15  # m/s^2: in a banked turn |f| differs more from g
 _TILT_DEG: Final = 60.0
 _BEGINNING_S: Final = 10.0
 _FASTEST_RAD_S: Final = 40.0  # 2300 deg/s: beyond the range of flight gyroscopes
+_FASTEST_DEG_S: Final = 5000.0
 _STRONGEST_M_S2: Final = 500.0
 _SWIFT_RAD_S: Final = 3.0
 _FEW_SPIKES: Final = 1e-3  # of all samples; in deg/s more are beyond
@@ -69,8 +70,7 @@ def units(imu: Stream) -> Cause | None:
     length = float(np.linalg.norm(_stillest(imu).mean(axis=0)[3:]))
     since_s = float(imu.arrived_s[0])
     if np.mean(gyro > _FASTEST_RAD_S) > _FEW_SPIKES or gyro.mean() > _SWIFT_RAD_S:
-        what = f"it turns at {gyro.mean():.1f} rad/s on average, up to {gyro.max():.0f}: the gyroscope is in deg/s"
-        return Cause(what, since_s, "convert to rad/s (x 0.0174533)")
+        return _swift(gyro, np.linalg.norm(finite[:, 3:], axis=1), since_s)
     if _GRAVITY_BAND[0] < length < _GRAVITY_BAND[1]:
         return None
     read = f"the accelerometer reads {length:.3g} m/s^2 in its stillest second"
@@ -80,6 +80,18 @@ def units(imu: Stream) -> Cause | None:
     if mean < 2.0:
         return Cause(f"{read}: gravity is missing", since_s, "send the specific force as it is measured, gravity included")
     return Cause(f"{read}: its unit or scale is wrong", since_s, f"send m/s^2: at rest it reads {GRAVITY:.2f}")
+
+
+def _swift(gyro: Array, force: Array, since_s: float) -> Cause:
+    """What it is that turns faster than any vehicle; gyro, force: norms (n,)."""
+    if gyro.mean() > _FASTEST_DEG_S:
+        what = f"its gyroscope reads {gyro.mean():.2g} on average, which no sensor does"
+        return Cause(what, since_s, "see the order of its bytes, and their type", unfit=True)
+    if _GRAVITY_BAND[0] < np.median(gyro) < _GRAVITY_BAND[1] and np.median(force) < _SWIFT_RAD_S:
+        what = f"its gyroscope reads {np.median(gyro):.1f}, its accelerometer {np.median(force):.2g}: the two are exchanged"
+        return Cause(what, since_s, "exchange the two in its driver or in the columns")
+    what = f"it turns at {gyro.mean():.1f} rad/s on average, up to {gyro.max():.0f}: the gyroscope is in deg/s"
+    return Cause(what, since_s, "convert to rad/s (x 0.0174533)")
 
 
 def off_at_rest(imu: Stream) -> Cause | None:
@@ -123,10 +135,12 @@ def tilted(imu: Stream) -> Cause | None:
     if tilt_deg < _TILT_DEG:
         return None
     what = f"gravity is {tilt_deg:.0f} degrees from the body's down"
-    upside_down = tilt_deg > 135.0
-    advice = 'set the other [imu] axes ("frd" or "flu")' if upside_down else "set [imu] mounting_rpy_deg"
-    return Cause(f"{what}: {'the axes are those of the other convention' if upside_down else 'it is mounted or wired otherwise'}",
-                 float(imu.arrived_s[0]), advice)  # fmt: skip
+    if tilt_deg < 135.0:
+        return Cause(f"{what}: it is mounted or wired otherwise", float(imu.arrived_s[0]), "set [imu] mounting_rpy_deg")
+    return Cause(
+        f"{what}: the axes are those of the other convention, or the accelerometer has the other sign", float(imu.arrived_s[0]),
+        'set the other [imu] axes ("frd" or "flu"); or, where x is reversed too, send the specific force (at rest it is up)',
+    )  # fmt: skip
 
 
 def frozen_axis(imu: Stream) -> Cause | None:

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from logs.findings import clocks, heights, held, inertial, jumps, numbers, position, pull, turning
+from logs.findings import clocks, heights, held, inertial, jumps, numbers, position, pull, scatter, turning
 from logs.findings.relation import Relation
 from logs.findings.streams import ATTITUDE, FIX, IMU, ODOMETRY, POSE, TURNING, VELOCITY, Cause, Finding, Stream, Streams
 from models.messages import Vec3
@@ -24,6 +24,10 @@ def judged(streams: Streams, origin: Vec3 | None) -> Iterator[tuple[str, Finding
             yield "0", Finding(name, what, max(0.0, float(s.arrived_s[0])), inertial.RATE_ADVICE, unfit=True)
     whole = {name: s for name, s in sorted(streams.items()) if len(s.t_s) >= _LEAST_SAMPLES}
     known = {name: s for name, given in whole.items() if len((s := numbers.finite(given)).t_s) >= _LEAST_SAMPLES}
+    for name, s in known.items():
+        if jump := clocks.together(s, [other for topic, other in known.items() if topic != name]):
+            yield "1", Finding(name, jump.what, jump.since_s, jump.advice)
+            return  # what is on both sides of it is no motion
     guilty = set[str]()
     stages = (_numbers(whole), _stamps(known), _values(known, origin), _relations(known, guilty))
     for stage, found in enumerate(stages):
@@ -55,7 +59,7 @@ def _values(streams: Streams, origin: Vec3 | None) -> Iterator[tuple[str, str, C
     alt_m = next(
         (float(np.median(s.in_order().values[:, 2])) for s in streams.values() if s.kind == FIX and len(s.in_order().t_s)), None
     )
-    for name, s in streams.items():
+    for name, s in sorted(streams.items(), key=lambda item: item[1].kind != IMU):
         others = [other for topic, other in streams.items() if topic != name]
         found: Cause | None
         if s.kind == IMU:
@@ -63,17 +67,19 @@ def _values(streams: Streams, origin: Vec3 | None) -> Iterator[tuple[str, str, C
                 inertial.slow(s) or inertial.halves(s) or held.copies(s) or held.held(s, None) or inertial.frozen_axis(s)
                 or inertial.units(s) or inertial.tilted(s) or inertial.spikes(s) or inertial.clipped(s)
                 or clocks.silence(s, others) or clocks.lost(s) or numbers.rounded(s) or inertial.off_at_rest(s)
+                or scatter.scattered(s)
             )  # fmt: skip
+            imu = None if found else imu  # no witness of motion
         else:
             found = held.zero(s) or (held.held(s, imu) or held.copies(s) if s.kind != ATTITUDE else None)
         if s.kind == FIX and not found:
-            found = (
-                position.far(s, origin) or position.accuracy(s) or numbers.rounded(s) or position.scattered(s) or jumps.jump(s)
-            )
+            found = position.far(s, origin) or position.accuracy(s) or numbers.rounded(s) or scatter.scattered(s) or jumps.jump(s)
         if s.kind in TURNING and not found:
-            found = numbers.no_quaternions(s) or (jumps.jump(s) if s.kind == POSE else None)
+            found = numbers.no_quaternions(s) or (jumps.jump(s) if s.kind in (POSE, ODOMETRY) else None)
         if s.kind == _BARO and not found:
-            found = position.pressure(s, alt_m) or position.pressure_jump(s)
+            found = position.pressure(s, alt_m) or position.pressure_jump(s) or scatter.scattered(s)
+        if s.kind == VELOCITY and not found:
+            found = scatter.scattered(s)
         if s.kind == _FIELD and not found:
             found = inertial.frozen_axis(s)
         if found:
@@ -93,7 +99,8 @@ def _turns(streams: Streams, name: str, imu: Stream) -> Iterator[tuple[str, str,
     related = {n: turning.attitude_relation(turned, s) for n, s in streams.items() if s.kind in TURNING}
     bad = {n: r for n, r in related.items() if r is not None and r.differs()}
     if len(bad) > 1 and len(bad) == sum(r is not None for r in related.values()) and _alike([r.O for r in bad.values()]):
-        cause = turning.misturned(next(iter(bad.values())), imu, " and ".join(bad))
+        theirs = next(iter(bad.values()))  # the other way round: b = s O a, a = O^T b / s
+        cause = turning.misturned(theirs._replace(O=theirs.O.T, scale=1.0 / theirs.scale), imu, " and ".join(bad))
         if cause:
             yield (
                 name,
@@ -160,11 +167,20 @@ def _ways(streams: Streams) -> Iterator[tuple[str, str, Cause]]:
                 yield n, "way", cause
             elif r is not None and not r.differs() and (cause := position.runs_away(fix, streams[n], n)):
                 yield name, "way", cause
+            elif r is not None and not r.differs() and (late_s := position.late(fix, streams[n])) is not None:
+                yield _late(name, n, streams, late_s)
             elif r is not None and r.differs():
                 yield n, "way", _cause(streams[n], f"{position.of_velocity(r)}, against the positions of {name}")
         for n, r in other.items():
             if r is not None and r.differs() and streams[n].kind == POSE:
                 yield n, "way", _cause(streams[n], f"{position.of_position(r)}, against the positions of {name}")
+
+
+def _late(fix: str, velocity: str, streams: Streams, late_s: float) -> tuple[str, str, Cause]:
+    """The later of the two is at fault: stamps of the future are rare."""
+    who, other = (fix, velocity) if late_s > 0.0 else (velocity, fix)
+    what = f"its stamps are {abs(late_s):.1f} s late against {other}"
+    return who, "late", Cause(what, float(streams[who].arrived_s[0]), "stamp with the time of measurement, or set [gnss] delay_s")
 
 
 def _cause(stream: Stream, what: str) -> Cause:

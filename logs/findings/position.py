@@ -10,7 +10,8 @@ from models.frames import Origin
 from models.messages import Array, Vec3
 
 _FAR_M: Final = 1e6
-_SUSPECT_M: Final = 1e5
+_SUSPECT_M: Final = 5e3
+_NOWHERE: Final = 0.02  # of all fixes, at 0, 0
 _NEAR: Final = 0.1  # of that distance: where another reading of the numbers lies
 _DRIVER: Final = "mend the driver of the receiver"
 _STEP_S: Final = 1.0
@@ -19,8 +20,8 @@ _LEAST_STEPS: Final = 8
 _LEAST_M: Final = 1.0  # RMS of a step: a receiver's noise is less
 _AWAY_STEPS: Final = 15
 _AWAY_M_S, _AWAY_SHARE, _TOGETHER_M_S = 0.7, 0.05, 0.2
-_SCATTER: Final = 8.0  # times the reported accuracy
-_SCATTER_M: Final = 3.0
+_LATE_S: Final = [s for s in np.arange(-1.5, 1.55, 0.1) if abs(s) > 0.25]
+_LATE_M, _LATE_GAIN = 0.3, 0.3  # RMS of a step at the stamps as they are; of its power, what other stamps leave
 _ACCURACY_M: Final = (2e-3, 1e3)  # of any receiver that is of use
 _HEIGHT_M: Final = (-1e3, 3e4)
 _PRESSURE_RATIO: Final = 1.12  # weather and a map's geoid make 1.05
@@ -32,11 +33,13 @@ _LENGTH_UNITS: Final = ((100.0, "centimetres"), (1000.0, "millimetres"), (3.2808
 
 
 def far(stream: Stream, origin: Vec3 | None) -> Cause | None:
-    """Fixes > 1,000 km from [map] origin, or all at 0, 0."""
+    """Fixes > 1,000 km from [map] origin, or at 0, 0."""
     lat, lon, alt = np.median(stream.values[:, :3], axis=0).tolist()
-    since_s = float(stream.arrived_s[0])
-    if lat == 0.0 and lon == 0.0:
-        return Cause("its fixes are at latitude 0, longitude 0", since_s, "the receiver has no fix: let it report status -1")
+    since_s, nowhere = float(stream.arrived_s[0]), (stream.values[:, :2] == 0.0).all(axis=1)
+    if (n := int(np.count_nonzero(nowhere))) > _NOWHERE * (count := len(stream.t_s)):
+        what = f"{'its' if n == count else f'{n} of its {count}'} fixes are at latitude 0, longitude 0"
+        since_s = float(stream.arrived_s[int(np.argmax(nowhere))])
+        return Cause(what, since_s, "the receiver has no fix: let it report status -1")
     if abs(lat) > 90.0 or abs(lon) > 360.0:
         swapped = abs(lon) <= 90.0 and abs(lat) <= 180.0
         what = "latitude and longitude are exchanged" if swapped else f"latitude {lat:.6g}, longitude {lon:.6g} are no degrees"
@@ -51,6 +54,7 @@ def far(stream: Stream, origin: Vec3 | None) -> Cause | None:
         "the latitude has the wrong sign": (-lat, lon),
         "both latitude and longitude have the wrong sign": (-lat, -lon),
         "latitude and longitude are in radians": (np.degrees(lat), np.degrees(lon)),
+        "minutes are written as a fraction of a degree (ddmm.mmmm / 100)": (_of_minutes(lat), _of_minutes(lon)),
     }
     names = [name for name, (a, b) in others.items() if abs(a) <= 90.0 and _distance(origin, a, b) < _NEAR * away_m]
     if not names and away_m < _FAR_M:
@@ -68,27 +72,6 @@ def accuracy(stream: Stream) -> Cause | None:
         return None
     advice = "let its driver fill in the covariance in m^2, or leave it 0 where the accuracy is not known"
     return Cause(f"it reports an accuracy of {sigma:.2g} m, which no receiver has", float(stream.arrived_s[0]), advice)
-
-
-def scattered(stream: Stream) -> Cause | None:
-    """|p_k - (p_k-1 + p_k+1) / 2| > 8 x the accuracy, most fixes of 4 s."""
-    t, p = positions(stream)
-    sigma = stream.in_order().values[:, 3]
-    if len(t) < _LEAST_STEPS or not sigma.any():
-        return None
-    off = np.linalg.norm(p[1:-1] - 0.5 * (p[:-2] + p[2:]), axis=1)[:, None]
-    even = np.diff(t)[1:] < 1.5 * np.diff(t)[:-1]
-    wide = (off[:, 0] > np.maximum(_SCATTER * sigma[1:-1], _SCATTER_M)) & (sigma[1:-1] > 0.0) & even
-    window = max(_LEAST_STEPS, round(4.0 / max(float(np.median(np.diff(t))), 1e-3)))
-    if len(wide) < window:
-        return None
-    share = np.convolve(wide, np.ones(window) / window, "valid")
-    if share.max() < 0.6:
-        return None
-    first = int(np.argmax(share > 0.6))
-    scatter = float(np.median(off[first : first + window]))
-    what = f"its positions scatter by {scatter:.1f} m while it reports {float(np.median(sigma)):.2g} m"
-    return Cause(what, stream.arrival_at(float(t[first])), "the receiver is jammed or shadowed, or the accuracy is not its own")
 
 
 def positions(stream: Stream) -> tuple[Array, Array]:
@@ -109,9 +92,7 @@ def velocity_relation(fixes: Stream, velocity: Stream) -> Relation | None:
     ordered = velocity.in_order()
     if len(ordered.t_s) < _LEAST_STEPS:
         return None
-    mean = 0.5 * (ordered.values[1:] + ordered.values[:-1])
-    way = np.concatenate([np.zeros((1, 3)), np.cumsum(mean * np.diff(ordered.t_s)[:, None], axis=0)])
-    return _related((ordered.t_s, way), positions(fixes), 2)
+    return _related((ordered.t_s, _way(ordered)), positions(fixes), 2)
 
 
 def still_or_forward(fixes: Stream, velocity: Stream, name: str) -> Cause | None:
@@ -137,7 +118,7 @@ def runs_away(fixes: Stream, velocity: Stream, name: str) -> Cause | None:
     v = velocity.in_order()
     if len(t) < _LEAST_STEPS or len(v.t_s) < _LEAST_STEPS or np.diff(v.t_s).max() > _LONGEST_S or np.diff(t).max() > _LONGEST_S:
         return None
-    way = np.concatenate([np.zeros((1, 2)), np.cumsum(0.5 * (v.values[1:, :2] + v.values[:-1, :2]) * np.diff(v.t_s)[:, None], 0)])
+    way = _way(v)
     at = np.arange(max(t[0], v.t_s[0]), min(t[-1], v.t_s[-1]), _STEP_S)
     apart = np.stack([np.interp(at, t, p[:, k]) - np.interp(at, v.t_s, way[:, k]) for k in range(2)], axis=1)
     speed = np.linalg.norm(apart[_AWAY_STEPS:] - apart[:-_AWAY_STEPS], axis=1) / (_AWAY_STEPS * _STEP_S)
@@ -149,6 +130,20 @@ def runs_away(fixes: Stream, velocity: Stream, name: str) -> Cause | None:
         return None
     what = f"its positions run away from {name} at up to {speed.max():.1f} m/s"
     return Cause(what, fixes.arrival_at(float(at[k])), "a receiver that is spoofed slowly, or a velocity that is not its own")
+
+
+def late(fixes: Stream, velocity: Stream) -> float | None:
+    """By how many seconds the fixes' stamps must be earlier to fit the velocity's integral; None: they fit, or none does."""
+    v = velocity.in_order()
+    if len(v.t_s) < _LEAST_STEPS:
+        return None
+    way, (t, p) = _way(v), positions(fixes)
+    left = {s: float(np.mean(np.sum((b - a) ** 2, axis=1))) for s in (0.0, *_LATE_S)
+            if (steps := _steps((v.t_s, way), (t - s, p), 2)) is not None for a, b in [steps]}  # fmt: skip
+    if left.get(0.0, 0.0) ** 0.5 < _LATE_M:
+        return None
+    best = min(left, key=lambda s: left[s])
+    return best if left[best] < _LATE_GAIN * left[0.0] else None
 
 
 def position_relation(fixes: Stream, others: Stream) -> Relation | None:
@@ -217,10 +212,30 @@ def _unit(factor: float, units: tuple[tuple[float, str], ...], rest: float = 0.0
         if 0.92 * factor < size < 1.08 * factor / max(1.0 - rest, 0.3)
     ]  # noise of the other side makes it smaller
     name = min(near, default=(0.0, ""))[1]
-    return f"{factor:.3g} times too large" + (f": {name}" if name else "")
+    size = f"{factor:.3g} times too large" if factor > 1.0 else f"{1.0 / max(factor, 1e-12):.3g} times too small"
+    return size + (f": {name}" if name else "")
+
+
+def _way(velocity: Stream) -> Array:
+    """int v dt (n, 3) from its first reading."""
+    mean = 0.5 * (velocity.values[1:] + velocity.values[:-1])
+    return np.concatenate([np.zeros((1, 3)), np.cumsum(mean * np.diff(velocity.t_s)[:, None], axis=0)])
+
+
+def _of_minutes(deg: float) -> float:
+    """dd + mm.mmmm / 60 of dd + mm.mmmm / 100."""
+    return float(np.trunc(deg) + (deg - np.trunc(deg)) / 0.6)
 
 
 def _related(a: tuple[Array, Array], b: tuple[Array, Array], axes: int) -> Relation | None:
+    steps = _steps(a, b, axes)
+    if steps is None or min(np.mean(np.sum(d**2, axis=1)) for d in steps) ** 0.5 < _LEAST_M:
+        return None
+    return relation(*steps)
+
+
+def _steps(a: tuple[Array, Array], b: tuple[Array, Array], axes: int) -> tuple[Array, Array] | None:
+    """Ways of a and b (n, axes) [m] between the stamps of b, 1 s apart or more; None: too few."""
     (t_a, p_a), (t_b, p_b) = a, b
     if len(t_a) < 2 or len(t_b) < 2:
         return None
@@ -231,10 +246,7 @@ def _related(a: tuple[Array, Array], b: tuple[Array, Array], axes: int) -> Relat
     at[hole] = np.nan
     da, db = np.diff(at, axis=0)[:, :axes], np.diff(q, axis=0)[:, :axes]
     sound = (np.diff(t) < _LONGEST_S) & np.isfinite(da).all(axis=1)
-    da, db = da[sound], db[sound]
-    if len(da) < _LEAST_STEPS or min(np.mean(np.sum(da**2, axis=1)), np.mean(np.sum(db**2, axis=1))) ** 0.5 < _LEAST_M:
-        return None
-    return relation(da, db)
+    return (da[sound], db[sound]) if np.count_nonzero(sound) >= _LEAST_STEPS else None
 
 
 def _distance(origin: Vec3, lat: float, lon: float) -> float:

@@ -193,6 +193,20 @@ def _runs_away(s: Stream, _: np.random.Generator) -> tuple[Stream, str]:
     return s._replace(values=values), "run away from /gnss/velocity"
 
 
+def _noise(sigma: list[float], words: str) -> Fault:
+    return lambda s, rng: (s._replace(values=s.values + rng.normal(size=s.values.shape) * sigma), words)
+
+
+def _nowhere(s: Stream, rng: np.random.Generator) -> tuple[Stream, str]:
+    values = s.values.copy()
+    values[rng.random(len(s.t_s)) < 0.3, :2] = 0.0
+    return s._replace(values=values), "fixes are at latitude 0, longitude 0"
+
+
+def _late(s: Stream, _: np.random.Generator) -> tuple[Stream, str]:
+    return s._replace(t_s=s.t_s + 0.9, arrived_s=s.arrived_s + 0.9), "0.9 s late against /gnss"
+
+
 def _inverse(s: Stream, _: np.random.Generator) -> tuple[Stream, str]:
     return s._replace(values=s.values * [1.0, 1.0, 1.0, 1.0, -1.0, -1.0, -1.0]), "inverse"
 
@@ -225,6 +239,17 @@ FAULTS = [
     ("/mag", _of([1.0, 0.0, 1.0], "its y axis reads 0")),
     ("/imu", _of([DEG] * 3 + ONE, "deg/s")),
     ("/imu", _of(ONE + [1.0 / GRAVITY] * 3, "it is in g")),
+    ("/imu", _of_columns([3, 4, 5, 0, 1, 2], "the two are exchanged")),
+    ("/imu", _of([1e30] * 3 + ONE, "which no sensor does")),
+    ("/imu", _of(ONE + [-1.0] * 3, "the accelerometer has the other sign")),
+    ("/imu", _of([2.0] * 3 + ONE, "it turns 2")),
+    ("/imu", _noise([0.0] * 3 + [25.0] * 3, "accelerometer scatters")),
+    ("/gnss/velocity", _noise([5.0, 5.0, 0.0], "velocities scatter")),
+    ("/gnss/velocity", _of([0.5] * 3, "2 times too small")),
+    ("/baro", _noise([200.0], "pressure scatters")),
+    ("/gnss", _nowhere),
+    *((topic, _late) for topic in ("/gnss", "/gnss/velocity")),
+    ("/odometry", _moved),
     ("/imu", _of([1.0, -1.0, -1.0] * 2, "other convention")),
     ("/imu", _of([1.0, 1.0, -1.0, *ONE], "mirrored")),
     ("/imu", _of_columns([1, 0, 2, 3, 4, 5], "mirrored")),
@@ -267,6 +292,13 @@ def test_poses_that_are_late_by_stamp_and_arrival_are_found_by_the_accelerometer
     cause = pull.pulled(streams["/imu"], poses._replace(t_s=poses.t_s + 1.0, arrived_s=poses.arrived_s + 1.0))
     assert cause is not None
     assert "1.0 s late" in cause.what
+
+
+def test_a_log_that_is_played_again_is_named() -> None:
+    streams = _sound(0)
+    again = {n: s._replace(t_s=s.t_s - 15.0 * (s.arrived_s > 20.0)) for n, s in streams.items()}
+    (found,) = _found(again)
+    assert (found.who, found.what) == ("/imu", "its stamps jump by -15.00 s, and those of all others with them")
 
 
 @pytest.mark.parametrize("seed", range(5))
