@@ -145,6 +145,12 @@ class Eskf:
         if turned < factor**2:
             self.cov[:_T, :_T] *= factor**2 / turned
 
+    def admit_noise(self, seen: Innovation, noise: Array, readings: int) -> None:
+        """The last k readings were fused with R, and their noise is R' (m, m): P <- P + k K (R' - R) K^T, K = P H^T S^-1."""
+        hp = seen.h @ self.cov
+        gain = np.linalg.solve(hp @ seen.h.T + seen.noise, hp)
+        self.cov += readings * (gain.T @ (noise - seen.noise) @ gain)
+
     def change_imu(self, shift: Array, sigma: Array) -> None:
         """Change the IMU: b <- b + d, P_bb <- P_bb + diag(sigma^2); shift d, sigma: (6,), gyroscope then accelerometer."""
         self.x[X.BG] += shift[:3]

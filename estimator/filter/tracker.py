@@ -55,7 +55,7 @@ _NOT_YET = "used once the attitude is known: false axes would mislead the alignm
 _XYZ = 3
 _REFUTED = 2  # positions in a row
 _MAJORITY = 2  # witnesses that contradict the estimate: receiver, fixes, IMU
-_USELESS = 100.0  # times the variance that a source claims, and it is no aid
+_USELESS = 1e4  # times the variance that a source reports, and it is no aid
 
 
 class Tracker:
@@ -380,10 +380,12 @@ class Tracker:
         known = self.scatter.get(aid.topic) or Scatter(aid.t_ns)
         trusted = trusted and known.factor < _USELESS
         if known.factor > 1.0 and isinstance(z, Pose | Position | Velocity):
-            z = replace_in(z, noise=known.factor * z.noise)
+            z = replace_in(z, noise=known.widened(z.noise))
         verdict = core.hypotheses.judge(aid, z, gyro_b, trusted=trusted, vouched=aid.absolute and self._vouched(aid))
         if (aid.absolute or aid.receiver) and isinstance(z, Pose | Position | Velocity):
-            now = known.also(aid.t_ns, verdict.seen, core.variance_factor.value)
+            now = known.also(aid.t_ns, verdict.seen, fused=verdict.fused)
+            if known.factor == 1.0 < now.factor and now.by_chance:
+                core.hypotheses.lead.admit_noise(verdict.seen, now.widened(verdict.seen.noise), now.by_chance)
             self.scatter = {**self.scatter, aid.topic: now}
         if trusted and aid.absolute and not verdict.explained:
             core.note_variance(aid, verdict.seen)

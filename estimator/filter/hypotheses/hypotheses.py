@@ -138,7 +138,7 @@ class Hypotheses:
         may_be_misled = newborn is not None and not left_out.has_jumped(self.members, aid)
         evidence = weighed(self.members, aid, seen, passed, vouched=vouched)
         born: list[Hypothesis] = []
-        fused = self._answers(evidence, born, set_aside=set_aside)
+        fused = self._answers(evidence, born)
         explained = not fused[0] and any(f and follower.is_new(m) for f, m in zip(fused, self.members, strict=True))
         if anew:
             follower.raise_alternative(self.members, aid, fused, vouched=vouched)
@@ -158,10 +158,10 @@ class Hypotheses:
     def _is_predicted(self, aid: Aid, passed: list[bool]) -> bool:
         return passed[0] or any(p and aid.topic not in m.doubts for p, m in zip(passed, self.members, strict=True))
 
-    def _answers(self, e: Evidence, born: list[Hypothesis], *, set_aside: bool) -> list[bool]:
+    def _answers(self, e: Evidence, born: list[Hypothesis]) -> list[bool]:
         """Answers of all hypotheses, and which fuse; one without the source gains what the leading one gains.
 
-        set_aside: the leading one leaves this receiver out; born: receives the sceptics.
+        born: receives the sceptics.
         """
         aid, fused = e.aid, [False] * len(e.seen)
 
@@ -181,9 +181,6 @@ class Hypotheses:
                     member.weight += min(0.0, gained[0] - gained[k])  # false to both: no evidence between them
             elif by_others is not None:
                 member.weight += by_others
-            elif e.passed[k] and not set_aside and not aid.receiver:
-                member.without = ""  # no other one follows the receiver, which agrees: it is judged again
-                answer(k)
         for member, was_fused in zip(self.members, fused, strict=True):
             doubt = member.doubts.get(aid.topic)
             if was_fused != fused[0] and not (doubt and doubt.deliberate):
@@ -248,8 +245,7 @@ class Hypotheses:
             return False
         if passed:
             margin = max(true - aid.log_false, _LEAST_DOUBT)
-            may_doubt = aid.absolute and (k == 0 or not member.without)
-            if may_doubt and margin < FORGET and member.weight + true - margin > e.doubted:
+            if aid.absolute and margin < FORGET and member.weight + true - margin > e.doubted:
                 sceptic = member.copy()
                 sceptic.weight += true - margin
                 sceptic.benefit = max(margin + math.log(aid.rules.false_share), 0.0) if aid.resembles else 0.0

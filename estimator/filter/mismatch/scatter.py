@@ -1,53 +1,77 @@
-"""A source noisier than claimed: its readings scatter about one another.
+"""A source noisier than it reports: its readings scatter about one another.
 
-    d_k = nu_k - 2 nu_{k-1} + nu_{k-2},   r_k = d_k^T (S_k + 4 S_{k-1} + S_{k-2})^-1 d_k
-    R <- s R,   s = max(r_(8) / m_50 where r_(3) > chi2_0.96 and most nu_k^T S_k^-1 nu_k > chi2_0.9999, s^exp(-dt / tau))
+    d_k = nu_k - 2 nu_{k-1} + nu_{k-2},   r_k = d_k^T (R_k + 4 R_{k-1} + R_{k-2})^-1 d_k
+    R <- s R,   s = r_(6) / m_50 where r_(3) > chi2_0.96,   from where most nu_k^T S_k^-1 nu_k > chi2_0.9999 on
 
-r_(k): k-th smallest of the last twelve; m_50: median of chi-square. An outlier makes three large.
+by blocks of three components. r_(k): k-th smallest of the last twelve; m_50: median of chi-square. The error of the estimate
+changes slowly, and cancels; an outlier makes three large.
 """
 
-import math
 from typing import NamedTuple
+
+import numpy as np
 
 from estimator.filter.eskf import Innovation
 from estimator.sources.base.gating import gate
 from models.measurements import mahalanobis
 from models.messages import Array
 
-_WINDOW, _RANK, _SIZE_RANK = 12, 3, 8
-_LARGEST, _GONE = 1e6, 1.1
+_WINDOW, _RANK, _MIDDLE = 12, 3, 6
 _USUAL, _FAR = 0.96, 0.9999
 _APART_S = 1.1  # readings further apart are not compared
-_FADES_S = 5.0
+_XYZ = 3
+
+
+class Reading(NamedTuple):
+    """nu (m,) and reported R (m, m); whether it was far off, and whether it was fused."""
+
+    nu: Array
+    noise: Array
+    far: bool
+    fused: bool
 
 
 class Scatter(NamedTuple):
-    """Factor s of a source at t_ns; nu (m,), S (m, m) of its last readings, and whether they were far from their prediction."""
+    """Factors s of a source at t_ns, by block; last: its readings."""
 
     t_ns: int
-    last: tuple[tuple[Array, Array, bool], ...] = ()
-    factor: float = 1.0
+    last: tuple[Reading, ...] = ()
+    factors: tuple[float, ...] = ()
 
-    def also(self, t_ns: int, seen: Innovation, variance_factor: float) -> "Scatter":
-        """With one more innovation, noise taken as self.factor times the claim; variance_factor: f in S, which explains no
-        scatter.
-        """
-        s = seen.s if self.factor == 1.0 else seen.s - variance_factor * (1.0 - 1.0 / self.factor) * seen.noise
-        dof, seconds = len(seen.nu), (t_ns - self.t_ns) * 1e-9
-        distance2 = seen.distance2 if s is seen.s else mahalanobis(seen.nu, s)[0]
-        now = seen.nu, s, distance2 > gate(_FAR, dof)
-        if self.last and (dof != len(self.last[-1][0]) or seconds > _APART_S):
-            return Scatter(t_ns, (now,))
-        faded = self.factor ** math.exp(-seconds / _FADES_S)
-        factor, last = faded if faded > _GONE else 1.0, (*self.last[-1 - _WINDOW :], now)
-        if len(last) == _WINDOW + 2 and 2 * sum([far for _, _, far in last[2:]]) > _WINDOW:
-            ordered = sorted(_bends(last))
-            if ordered[_RANK - 1] > gate(_USUAL, dof):
-                factor = max(factor, min(ordered[_SIZE_RANK - 1] / gate(0.5, dof), _LARGEST))
-        return Scatter(t_ns, last, factor)
+    @property
+    def factor(self) -> float:
+        """The largest."""
+        return max(self.factors, default=1.0)
+
+    def widened(self, noise: Array) -> Array:
+        """R (m, m) of a reading as it scatters."""
+        return noise if self.factor == 1.0 else noise * self._squared(len(noise))
+
+    @property
+    def by_chance(self) -> int:
+        """How many of the last readings were fused with too small an R; more than one or two are no chance."""
+        fused = sum([reading.fused for reading in self.last[2 + _RANK :]])
+        return fused if fused < _RANK else 0
+
+    def also(self, t_ns: int, seen: Innovation, *, fused: bool) -> "Scatter":
+        """With one more innovation, whose noise is widened."""
+        m = len(seen.nu)
+        if self.last and (m != len(self.last[-1].nu) or (t_ns - self.t_ns) * 1e-9 > _APART_S):
+            return Scatter(t_ns).also(t_ns, seen, fused=fused) if self.factor == 1.0 else Scatter(t_ns)  # this noise is widened
+        reported = seen.noise if self.factor == 1.0 else seen.noise / self._squared(m)
+        last = (*self.last[-1 - _WINDOW :], Reading(seen.nu, reported, seen.distance2 > gate(_FAR, m), fused))
+        if len(last) < _WINDOW + 2 or (self.factor == 1.0 and 2 * sum([reading.far for reading in last[2:]]) <= _WINDOW):
+            return Scatter(t_ns, last, self.factors)
+        return Scatter(t_ns, last, tuple([_factor(last, slice(k, k + _XYZ)) for k in range(0, m, _XYZ)]))
+
+    def _squared(self, m: int) -> Array:
+        root = np.sqrt(np.repeat(self.factors, _XYZ)[:m])
+        return np.outer(root, root)
 
 
-def _bends(last: tuple[tuple[Array, Array, bool], ...]) -> list[float]:
-    """r of each reading but the first two."""
-    triples = zip(last, last[1:], last[2:], strict=False)
-    return [mahalanobis(nu - 2.0 * nu_1 + nu_2, s + 4.0 * s_1 + s_2)[0] for (nu_2, s_2, _), (nu_1, s_1, _), (nu, s, _) in triples]
+def _factor(last: tuple[Reading, ...], rows: slice) -> float:
+    triples, dof = zip(last, last[1:], last[2:], strict=False), len(last[-1].nu[rows])
+    r = sorted(
+        [mahalanobis((a.nu - 2.0 * b.nu + c.nu)[rows], (a.noise + 4.0 * b.noise + c.noise)[rows, rows])[0] for a, b, c in triples]
+    )
+    return r[_MIDDLE - 1] / gate(0.5, dof) if r[_RANK - 1] > gate(_USUAL, dof) else 1.0
