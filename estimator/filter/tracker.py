@@ -384,7 +384,7 @@ class Tracker:
         verdict = core.hypotheses.judge(aid, z, gyro_b, trusted=trusted, vouched=aid.absolute and self._vouched(aid))
         if (aid.absolute or aid.receiver) and isinstance(z, Pose | Position | Velocity):
             now = known.also(aid.t_ns, verdict.seen, fused=verdict.fused)
-            if known.factor == 1.0 < now.factor and now.by_chance:
+            if alone and known.factor == 1.0 < now.factor and now.by_chance:
                 core.hypotheses.lead.admit_noise(verdict.seen, now.widened(verdict.seen.noise), now.by_chance)
             self.scatter = {**self.scatter, aid.topic: now}
         if trusted and aid.absolute and not verdict.explained:
