@@ -56,7 +56,6 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--attitude-deg", type=float, nargs=2, metavar=("LEVEL", "YAW"), help="standard deviations of Brighton's prior (1 3)"
     )
-    parser.add_argument("--hover", action="store_true", help="Brighton's next image is the same one, with other noise")
     parser.add_argument("--paths", nargs="+", choices=PATHS, default=list(PATHS))
     parser.add_argument("--pictures", action="store_true", help="write an overlay of every trial")
     parser.add_argument("--json", action="store_true", help="print the table as JSON")
@@ -73,7 +72,7 @@ def trials(name: str, data: Path, args: argparse.Namespace) -> Iterator[Trial]:
     if name == "brighton":
         level, yaw = np.radians(args.attitude_deg) if args.attitude_deg else brighton.SPREAD.sigma[[3, 5]]
         spread = replace(brighton.SPREAD, level_sigma_rad=float(level), yaw_sigma_rad=float(yaw))
-        return brighton.trials(data, args.seed, args.priors, args.width, spread, hover=args.hover)
+        return brighton.trials(data, args.seed, args.priors, args.width, spread)
     if name == "nust":
         return nust.trials(data, args.seed, args.priors)
     if name == "roads":

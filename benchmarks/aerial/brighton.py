@@ -29,7 +29,6 @@ _MANY = 3
 _SHOWN = 0.5  # of its outline that is in the photo, then a landmark counts as in view
 _FOCAL = 3.61 / 6.317  # focal length over the sensor's width
 _DISTORTION = (0.0103, 0.0124, 0.0, 0.0)  # from the key points of 12 photos in the orthophoto, which confirm _FOCAL to 0.6 %
-_NOISE = 3.0  # grey levels, from an image to the next
 _SENSOR_SIGMA = 3e-3  # of focal length and principal point over the width
 _DISTORTION_SIGMA = 3e-3
 
@@ -41,10 +40,10 @@ def camera(width: int = WIDTH) -> CameraModel:
     return CameraModel(width, height, f, f, 0.5 * (width - 1), 0.5 * (height - 1), _DISTORTION, np.diag(sigma**2))
 
 
-def trials(data: Path, seed: int, priors: int, width: int, spread: Spread = SPREAD, *, hover: bool = False) -> Iterator[Trial]:
+def trials(data: Path, seed: int, priors: int, width: int, spread: Spread = SPREAD) -> Iterator[Trial]:
     """Every photo with a reference and an outline, then those with 3 outlines under a turned map.
 
-    The next photo (7 s later) comes after 2 s, with the same error of the prior. hover: the same image with other noise.
+    The next photo (7 s later) comes after 2 s, with the same error of the prior.
     """
     landmarks, names = landmark_map(), photo_names(data)
     cases = {n: case(data, n, where, landmarks, width) for n, where in references(data, landmarks, names).items()}
@@ -57,17 +56,10 @@ def trials(data: Path, seed: int, priors: int, width: int, spread: Spread = SPRE
             rng = generator(seed, name, number)
             prior = spread.draw(rng, known.p_n, known.R_nb)
             then = None if after is None else (after, spread.draw(generator(seed, name, number), after.p_n, after.R_nb))
-            then = (_once_more(known, rng), prior) if hover else then
             yield Trial(known, number, prior, then)
             if known.group == MANY:
                 decoys = LandmarkMap.from_landmarks(landmarks.origin, turned(list(landmarks), known.p_n[:2], rng))
                 yield Trial(_turned_map(known, decoys), number, prior, then and (_turned_map(then[0], decoys), then[1]))
-
-
-def _once_more(known: Case, rng: np.random.Generator) -> Case:
-    """The same photo, as if it had been taken twice."""
-    noisy = known.image.astype(float) + rng.normal(0.0, _NOISE, known.image.shape)
-    return replace(known, image=np.clip(np.rint(noisy), 0.0, 255.0).astype(np.uint8))
 
 
 def _turned_map(known: Case, decoys: LandmarkMap) -> Case:
