@@ -7,7 +7,7 @@ image alone. Thresholds are the defaults (docs/vision_aerial.md). Output: out/ae
 import argparse
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,12 +18,9 @@ from rich.console import Console
 from rich.progress import track
 
 from benchmarks.aerial import brighton, nust, spacenet
-from benchmarks.aerial.trials import PATHS, Outcome, Row, Trial, Way, row, run
+from benchmarks.aerial.trials import Outcome, Row, Trial, row, run
 from benchmarks.flights.tasks import data_folder
 from benchmarks.tables import Table, number
-from vision.describe.survey import to_8_bit
-from vision.pipeline import Result
-from vision.show.overlay import draw_overlay, outline_residuals
 
 OUT = Path(__file__).resolve().parents[2] / "out" / "aerial"
 SETS = ("brighton", "nust", "roads", "spacenet")
@@ -37,7 +34,7 @@ def main() -> None:
         raise SystemExit(f"{data}/images not found: set LANDFIX_DATA to the folder of recorded images")
     cv2.setNumThreads(1)
     OUT.mkdir(parents=True, exist_ok=True)
-    outcomes = [outcome for name in args.sets or SETS for outcome in run_all(trials(name, data, args), args.paths, args.pictures)]
+    outcomes = [outcome for name in args.sets or SETS for outcome in run_all(trials(name, data, args))]
     rows = summary(outcomes)
     (OUT / f"outcomes_{args.seed}.json").write_bytes(msgspec.json.encode(outcomes))
     report = f"{table(rows).markdown()}\n{reasons(outcomes).markdown()}"
@@ -56,8 +53,6 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--attitude-deg", type=float, nargs=2, metavar=("LEVEL", "YAW"), help="standard deviations of Brighton's prior (1 3)"
     )
-    parser.add_argument("--paths", nargs="+", choices=PATHS, default=list(PATHS))
-    parser.add_argument("--pictures", action="store_true", help="write an overlay of every trial")
     parser.add_argument("--json", action="store_true", help="print the table as JSON")
     args = parser.parse_args()
     if args.priors < 1 or not 320 <= args.width <= brighton.WIDTH:
@@ -80,47 +75,28 @@ def trials(name: str, data: Path, args: argparse.Namespace) -> Iterator[Trial]:
     return spacenet.trials(data, args.seed, args.priors)
 
 
-def run_all(several: Iterable[Trial], paths: Sequence[Way], images: bool) -> Iterator[Outcome]:
-    """Every trial by every path."""
+def run_all(several: Iterable[Trial]) -> Iterator[Outcome]:
+    """Every trial."""
     for trial in track(several, description="trials", console=Console(stderr=True)):
-        for path in paths:
-            outcome, result = run(trial, path)
-            if images:
-                write_overlay(trial, outcome, result)
-            yield outcome
-
-
-def write_overlay(trial: Trial, outcome: Outcome, result: Result) -> None:
-    """The map in the image: from the fix with its residuals, else from the prior."""
-    case, prior = (trial.case, trial.prior) if outcome.at_once or trial.after is None else trial.after
-    pose, image = result.pose, to_8_bit(case.image)
-    p_n, R_nb = (prior.p_n, prior.R_nb) if pose is None else (pose.joint_p_n, pose.joint_R_nb)
-    where = case.rig.camera_pose(p_n, R_nb)
-    used = [m for m in case.landmarks if m.id in outcome.landmarks]
-    residuals = outline_residuals(image, case.rig.left, *where, used)
-    drawn_from = "drawn from the prior" if pose is None else f"{outcome.error_m:.2f} m off"
-    caption = [f"{outcome.outcome}: {outcome.detail}", f"{drawn_from}; the prior is {outcome.prior_m:.1f} m off"]
-    drawn = draw_overlay(image, case.rig.left, *where, list(case.landmarks), outcome.landmarks, residuals, caption)
-    name = f"{case.group} {trial.case.name} {trial.number} {outcome.path}".replace(",", "").replace(" ", "_")
-    cv2.imwrite(str(OUT / f"{name}.jpg"), drawn)
+        yield run(trial)
 
 
 def summary(outcomes: Iterable[Outcome]) -> list[Row]:
-    """One row a group and path, in order of appearance."""
-    groups: dict[tuple[str, str], list[Outcome]] = {}
+    """One row a group, in order of appearance."""
+    groups: dict[str, list[Outcome]] = {}
     for o in outcomes:
-        groups.setdefault((o.group, o.path), []).append(o)
+        groups.setdefault(o.group, []).append(o)
     return [row(group) for group in groups.values()]
 
 
 def table(rows: Iterable[Row]) -> Table:
     columns = (
-        "set", "path", "images", "trials", "accepted", "at once", "within 2 m", "beyond 2 m", "known to 2 m", "and beyond",
+        "set", "images", "trials", "accepted", "at once", "within 2 m", "beyond 2 m", "known to 2 m", "and beyond",
         "median m", "95 % m", "worst m", "claimed 95 % m", "within it", "cpu s",
     )  # fmt: skip
     cells = [
         (
-            r.group, r.path, str(r.images), str(r.trials), f"{r.accepted:.1%}", f"{r.at_once:.1%}", f"{r.right:.1%}",
+            r.group, str(r.images), str(r.trials), f"{r.accepted:.1%}", f"{r.at_once:.1%}", f"{r.right:.1%}",
             str(r.wrong), f"{r.sure:.1%}", str(r.sure_wrong), number(r.median_m), number(r.p95_m), number(r.worst_m),
             number(r.claimed_m), str(r.inside), number(r.cpu_s),
         )
@@ -131,8 +107,8 @@ def table(rows: Iterable[Row]) -> Table:
 
 def reasons(outcomes: Iterable[Outcome]) -> Table:
     """How often each outcome came."""
-    count = Counter((o.group, o.path, o.outcome) for o in outcomes)
-    return Table("Outcomes", ("set", "path", "outcome", "trials"), [(*what, str(n)) for what, n in sorted(count.items())])
+    count = Counter((o.group, o.outcome) for o in outcomes)
+    return Table("Outcomes", ("set", "outcome", "trials"), [(*what, str(n)) for what, n in sorted(count.items())])
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ import time
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import msgspec
 import numpy as np
@@ -18,10 +17,8 @@ from models.messages import Array
 from models.prior import Prior
 from models.radius import reach
 from vision.image.rectify import Image
-from vision.pipeline import LandmarkPipeline, PipelineConfig, Result
+from vision.pipeline import LandmarkPipeline, PipelineConfig
 
-Way = Literal["predict", "segment"]
-PATHS: tuple[Way, ...] = get_args(Way)
 WRONG_M = 2.0
 _NEXT_NS = 2_000_000_000  # a camera in flight takes an image each second or so
 _TURNED_DEG = (30.0, 150.0)  # decoys: not by half a turn, which a row of houses survives
@@ -90,7 +87,6 @@ class Outcome(msgspec.Struct, frozen=True):
 
     group: str
     case: str
-    path: str
     number: int
     shown: int
     prior_m: float
@@ -156,10 +152,10 @@ def turned(marks: Sequence[Landmark], centre: Array, rng: np.random.Generator) -
     ]  # fmt: skip
 
 
-def run(trial: Trial, path: Way) -> tuple[Outcome, Result]:
+def run(trial: Trial) -> Outcome:
     """One trial with a pipeline of its own: nothing is remembered from another one."""
     case, prior = trial.case, trial.prior
-    pipeline = LandmarkPipeline(case.rig, case.landmarks, PipelineConfig(path=path))
+    pipeline = LandmarkPipeline(case.rig, case.landmarks, PipelineConfig(path="predict"))
     begin = time.process_time()
     result = pipeline.process(case.image, None, 0, prior)
     cpu_s = time.process_time() - begin
@@ -169,18 +165,18 @@ def run(trial: Trial, path: Way) -> tuple[Outcome, Result]:
         case, prior = trial.after
         result = pipeline.process(case.image, None, _NEXT_NS, prior)
     what = (
-        trial.case.group, trial.case.name, path, trial.number, len(trial.case.shown), off, result.report.outcome,
+        trial.case.group, trial.case.name, trial.number, len(trial.case.shown), off, result.report.outcome,
         result.report.detail, cpu_s,
     )  # fmt: skip
     if result.fix is None or result.pose is None:
-        return Outcome(*what, at_once=at_once), result
+        return Outcome(*what, at_once=at_once)
     fix, pose = result.fix, result.pose
     e = np.array(fix.p_n) - case.p_n
     total = fix.covariance + (0.0 if fix.covariance_common is None else fix.covariance_common)
     squared = float(e @ np.linalg.solve(total[:3, :3], e)) / 3.0
     alone = case.judge(np.array(fix.p_n), so3.matrix(np.array(fix.q_nb_wxyz)))
     within_m = reach(pose.joint_covariance[:3, :3])
-    return Outcome(*what, fix.landmarks, case.judge(pose.joint_p_n, pose.joint_R_nb), alone, squared, at_once, within_m), result
+    return Outcome(*what, fix.landmarks, case.judge(pose.joint_p_n, pose.joint_R_nb), alone, squared, at_once, within_m)
 
 
 class Row(msgspec.Struct, frozen=True):
@@ -189,7 +185,6 @@ class Row(msgspec.Struct, frozen=True):
     """
 
     group: str
-    path: str
     images: int
     trials: int
     accepted: float
@@ -207,12 +202,12 @@ class Row(msgspec.Struct, frozen=True):
 
 
 def row(outcomes: Sequence[Outcome]) -> Row:
-    """Figures of trials of one group and path."""
+    """Figures of trials of one group."""
     error = np.array([o.error_m for o in outcomes if o.accepted])
     wrong, n = sum(o.wrong for o in outcomes), len(outcomes)
     median, p95, worst = np.percentile(error, (50, 95, 100)).tolist() if len(error) else (math.nan,) * 3
     return Row(
-        outcomes[0].group, outcomes[0].path, len({o.case for o in outcomes}), n, len(error) / n,
+        outcomes[0].group, len({o.case for o in outcomes}), n, len(error) / n,
         sum(o.accepted and o.at_once for o in outcomes) / n, (len(error) - wrong) / n, wrong,
         sum(o.sure for o in outcomes) / n, sum(o.sure and o.wrong for o in outcomes),
         median, p95, worst, float(np.median([o.within_m for o in outcomes if o.accepted] or [math.nan])),

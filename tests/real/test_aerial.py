@@ -34,7 +34,7 @@ def photos(landfix_images: Path) -> dict[str, Reference]:
 
 
 def outcomes(trials: Sequence[Trial]) -> list[Outcome]:
-    return [run(trial, "predict")[0] for trial in trials]
+    return [run(trial) for trial in trials]
 
 
 def test_photos_are_located_without_outlines(photos: dict[str, Reference]) -> None:
