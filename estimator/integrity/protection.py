@@ -14,12 +14,14 @@ from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
+from numba import njit
 
 from models.messages import Array
 
 _EXACT: Final = 2e-3  # of a protection level, relative; rounded up
 _TINY, _TINY_M = 1e-300, 1e-9
 _MOST_STEPS: Final = 40
+_HALF: Final = math.sqrt(0.5)
 _HOUR_S: Final = 3600.0
 
 
@@ -48,7 +50,7 @@ class Tail(NamedTuple):
 
 def one_axis(z: float) -> float:
     """P(|x| > z), x ~ N(0, 1)."""
-    return math.erfc(z * math.sqrt(0.5))
+    return math.erfc(z * _HALF)
 
 
 def in_plane(z: float) -> float:
@@ -71,9 +73,8 @@ def protection_levels(modes: Array, probabilities: Array, tail: Tail) -> tuple[l
 
     modes (n, 5): rows p, horizontal b and sigma, vertical b and sigma. At most .002 above the exact solution, never below.
     """
-    rows, at = modes.tolist(), probabilities.tolist()
-    h, v = [(p, b, sigma) for p, b, sigma, _, _ in rows], [(p, b, sigma) for p, _, _, b, sigma in rows]
-    return [_solution(h, allowed, tail, in_plane) for allowed in at], [_solution(v, allowed, tail, one_axis) for allowed in at]
+    h, v = _solutions(modes, probabilities, *tail).tolist()
+    return h, v
 
 
 def protection_level(modes: Sequence[Mode], probability: float, tail: Tail, exceeds: Callable[[float], float]) -> float:
@@ -83,43 +84,49 @@ def protection_level(modes: Sequence[Mode], probability: float, tail: Tail, exce
     return (h if exceeds is in_plane else v)[0]
 
 
-def _solution(
-    modes: Sequence[tuple[float, float, float]], allowed: float, tail: Tail, exceeds: Callable[[float], float]
-) -> float:
-    """PL [m] of modes (p, b, sigma), by regula falsi on the logarithm (Illinois rule; Dowell and Jarratt 1971).
+@njit(cache=True, error_model="numpy")
+def _solutions(modes: Array, allowed: Array, core_scale: float, tail_scale: float, tail_share: float) -> Array:
+    """(2, m), by regula falsi on the logarithm (Illinois rule; Dowell and Jarratt 1971).
 
     Upper end from Q(z) <= exp(-(z / t)^2 / 2), an equal share for each of n bounded modes.
     """
-    bounded = [(p, b, max(sigma, _TINY_M)) for p, b, sigma in modes if math.isfinite(b + sigma)]
-    left = allowed - sum(p for p, b, sigma in modes if not math.isfinite(b + sigma))
-    if left <= 0.0:
-        return math.inf
-    if sum(p for p, _, _ in bounded) <= left:
-        return 0.0
-
-    def excess(level_m: float) -> float:
-        """Ln of the sum over what is allowed."""
-        total = sum([p * tail.level(exceeds, (level_m - b) / sigma) for p, b, sigma in bounded])
-        return math.log(max(total, _TINY) / left)
-
-    low, high, widest = 0.0, 0.0, max(tail.core_scale, tail.tail_scale)
-    for p, b, sigma in bounded:
-        share = left / max(len(bounded) * p, _TINY)
-        if share < 1.0:
-            high = max(high, b + sigma * widest * math.sqrt(-2.0 * math.log(share)))
-    at_low, at_high = excess(low), excess(high)
-    for _ in range(_MOST_STEPS):
-        if high - low <= _EXACT * high:
-            break
-        middle = (low * at_high - high * at_low) / ((at_high - at_low) or math.inf)
-        if not low < middle < high:
-            middle = 0.5 * (low + high)
-        value = excess(middle)
-        if value > 0.0:
-            low, at_low, at_high = middle, value, 0.5 * at_high
-        else:
-            high, at_high, at_low = middle, value, 0.5 * at_low
-    return high
+    levels = np.empty((2, len(allowed)))
+    for axis, k in np.ndindex(levels.shape):
+        p, b = modes[:, 0], modes[:, 1 + 2 * axis]
+        sigma = np.maximum(modes[:, 2 + 2 * axis], _TINY_M)
+        bounded = np.isfinite(b + sigma)
+        left = allowed[k] - p[~bounded].sum()
+        p, b, sigma = p[bounded], b[bounded], sigma[bounded]
+        low, high, at_high = 0.0, 0.0, 0.0
+        if left <= 0.0 or p.sum() <= left:
+            levels[axis, k] = np.inf if left <= 0.0 else 0.0
+            continue
+        for i in range(len(p)):
+            share = left / max(len(p) * p[i], _TINY)
+            if share < 1.0:
+                high = max(high, b[i] + sigma[i] * max(core_scale, tail_scale) * math.sqrt(-2.0 * math.log(share)))
+        level, at_low = high, 2.0 * math.log(p.sum() / left)
+        for _ in range(_MOST_STEPS):
+            total = 0.0
+            for i in range(len(p)):
+                z = max(level - b[i], 0.0) / sigma[i]
+                core, tail = z / core_scale, z / tail_scale
+                if axis == 0:
+                    total += p[i] * ((1.0 - tail_share) * math.exp(-0.5 * core**2) + tail_share * math.exp(-0.5 * tail**2))
+                else:
+                    total += p[i] * ((1.0 - tail_share) * math.erfc(core * _HALF) + tail_share * math.erfc(tail * _HALF))
+            value = math.log(max(total, _TINY) / left)  # of the sum over what is allowed
+            if value > 0.0:
+                low, at_low, at_high = level, value, 0.5 * at_high
+            else:
+                high, at_high, at_low = level, value, 0.5 * at_low
+            if high - low <= _EXACT * high:
+                break
+            level = (low * at_high - high * at_low) / (at_high - at_low)
+            if not low < level < high:
+                level = 0.5 * (low + high)
+        levels[axis, k] = high
+    return levels
 
 
 def _reduced(distance_m: float, sigma_m: float) -> float:
