@@ -16,12 +16,13 @@ Change = Callable[[bytes, np.random.Generator], bytes]
 
 
 class FileFault(NamedTuple):
-    """seed: format of fuzz_seeds; file: its name; words: one of them is in a line that names the cause."""
+    """seed: format of fuzz_seeds; file: its name; words: one of them names the cause; kind: given to import, if it is another."""
 
     seed: str
     file: str
     change: Change
     words: tuple[str, ...]
+    kind: str = ""
 
 
 def _cut(data: bytes, rng: np.random.Generator) -> bytes:
@@ -60,6 +61,11 @@ def _milliseconds(lines: list[str], _: np.random.Generator) -> list[str]:
     return lines[:1] + [f"{1e3 * float(line.partition(',')[0]):.0f},{line.partition(',')[2]}" for line in lines[1:]]
 
 
+def _nanoseconds(lines: list[str], _: np.random.Generator) -> list[str]:
+    """Since 1970, under a name that says seconds."""
+    return lines[:1] + [f"{1.7e18 + 1e9 * float(line.partition(',')[0]):.0f},{line.partition(',')[2]}" for line in lines[1:]]
+
+
 def _few_digits(lines: list[str], _: np.random.Generator) -> list[str]:
     """Seconds since 1970 with six digits."""
     return lines[:1] + [f"{1.7e9 + float(line.partition(',')[0]):.6g},{line.partition(',')[2]}" for line in lines[1:]]
@@ -88,6 +94,10 @@ FILE_FAULTS: Final[dict[str, FileFault]] = {
     "csv cut": FileFault("csv", "imu.csv", _cut, _TORN),
     "csv short lines": FileFault("csv", "imu.csv", _lines(_short_lines), ("without 7 cells",)),
     "csv milliseconds": FileFault("csv", "imu.csv", _lines(_milliseconds), ("name the column t_ms",)),
+    "csv nanoseconds": FileFault("csv", "imu.csv", _lines(_nanoseconds), ("name the column t_ms, t_us or t_ns",)),
+    "ulog named dataflash": FileFault("ulog", "a.bin", lambda d, _: d, ("landfix import ulog",), "dataflash"),
+    "bag named ulog": FileFault("bag", "a.ulg", lambda d, _: d, ("landfix import rosbag",), "ulog"),
+    "dataflash as text": FileFault("dataflash", "a.bin", lambda _d, _r: b"FMT, 128, 89, FMT, BBnNZ\n" * 50, ("as text",)),
     "csv few digits": FileFault("csv", "imu.csv", _lines(_few_digits), ("write the time with all its digits",)),
     "csv.gz cut": FileFault("csv.gz", "imu.csv.gz", _cut, _TORN),
     "csv.gz damaged": FileFault("csv.gz", "imu.csv.gz", _damaged, (*_TORN, "not a CSV text file", "gzip")),
@@ -119,7 +129,7 @@ def said_of(fault: FileFault, rng: np.random.Generator) -> str:
         path = Path(name) / "in" / fault.file
         path.parent.mkdir()
         path.write_bytes(fault.change(data, rng))
-        kind = {"csv.gz": "csv", "mcap": ROSBAG, "bag": ROSBAG}.get(fault.seed, fault.seed)
+        kind = fault.kind or {"csv.gz": "csv", "mcap": ROSBAG, "bag": ROSBAG}.get(fault.seed, fault.seed)
         try:
             summary = convert(kind, path.parent if kind == "csv" else path, Path(name) / "out.mcap")
         except LogError as error:

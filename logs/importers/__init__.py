@@ -19,9 +19,9 @@ from logs.store.recorder import REFERENCE_ATTACHMENT, Recorder
 from logs.wire.encoding import Encoded, encode_input, encode_truth
 from logs.wire.sensors import SENSORS
 from models.messages import ATTITUDE_TOPIC
+from models.untrusted import foreign
 from models.untrusted.boundary import refusing
 from models.untrusted.file import opened
-from models.untrusted.foreign import HEAD_BYTES, foreign
 
 __all__ = [
     "KINDS",
@@ -72,7 +72,7 @@ def read(kind: str, source: Path, options: ImportOptions = DEFAULTS, progress: P
         raise LogError(f"no importer called {kind}; there are {', '.join(KINDS)}")
     if not source.exists():
         raise LogError(f"{source}: no such file or folder")
-    _refuse_foreign(source)
+    _refuse_foreign(source, kind)
     importer: Callable[[Path, ImportOptions, Progress | None], Recording] = import_module(f"logs.importers.{KINDS[kind]}").read
     with refusing(LogError, source):
         return importer(source, options, progress)
@@ -86,7 +86,7 @@ def convert(
         raise LogError(f"{out}: the output would overwrite the input; name another file after -o")
     if kind == ROSBAG:
         options.refuse_but(kind, "imu")
-        _refuse_foreign(source)
+        _refuse_foreign(source, kind)
         copy: Callable[..., ImportSummary] = import_module("logs.importers.rosbag.convert").convert
         with refusing(LogError, source, OSError):
             return copy(source, out, progress, options.imu)
@@ -118,13 +118,16 @@ def convert(
     return ImportSummary(str(out), str(config), counts, start_ns or 0, end_ns or 0, notes, findings=findings)
 
 
-def _refuse_foreign(source: Path) -> None:
-    """Raises LogError for a file that is no log of any kind."""
+def _refuse_foreign(source: Path, kind: str) -> None:
+    """Raises LogError for a file that is no log of that kind, as its first bytes show."""
     if not source.is_file():
         return
     with refusing(LogError, source), opened(source) as file:
-        if (what := foreign(file.read(HEAD_BYTES))) and source.suffix != ".gz":
-            raise LogError(f"{source.name}: {what}")
+        head = file.read(foreign.HEAD_BYTES)
+    if (what := foreign.foreign(head)) and source.suffix != ".gz":
+        raise LogError(f"{source.name}: {what}")
+    if (other := foreign.kind_of(head)) and other != kind:
+        raise LogError(f"{source.name}: a log of another kind: landfix import {other}")
 
 
 def _encoded(recording: Recording, source: Path, watch: Watch) -> Iterator[tuple[Encoded, int]]:

@@ -148,7 +148,7 @@ def read_table(path: Path, t0_ns: int | None = None) -> Table:
         notes.append(f"{path.name}: {np.count_nonzero(~stamped)} lines without a time left out")
         rows = [row for row, keep in zip(rows, stamped.tolist(), strict=True) if keep]
     if not stamped.any():
-        raise LogError(f"{path.name}: no line with a time")
+        raise LogError(f"{path.name}: no line with a time; if it is in ms, us or ns, name the column t_ms, t_us or t_ns")
     arrived_ns = _times(path.name, names, rows, _ARRIVAL, t0_ns)
     t_ns, midnights = _over_midnight(t_ns[stamped])
     _check_digits(path.name, t_ns)

@@ -32,7 +32,7 @@ from models.messages import Array, Vec3
 from models.untrusted.file import opened
 from models.untrusted.quiet import silence
 
-_MAGIC = b"\xa3\x95"
+_MAGIC, _TEXT = b"\xa3\x95", b"FM"  # "FMT, ..."
 _TIME = "time_us"  # since boot; the first column of every table
 _FIELDS = {
     "IMU": ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"),
@@ -117,7 +117,9 @@ def _open(source: Path) -> Any:
     except OSError as error:
         raise LogError(f"{source}: {error.strerror}") from None
     if magic != _MAGIC:
-        raise LogError(f"{source.name}: {'not an ArduPilot dataflash log (.bin)' if magic else 'the file is empty'}")
+        text = "a dataflash log written as text: give the .bin that it was made of"
+        what = text if magic == _TEXT else "not an ArduPilot dataflash log (.bin)" if magic else "the file is empty"
+        raise LogError(f"{source.name}: {what}")
     try:
         with silence():
             return DFReader.DFReader_binary(str(source))

@@ -135,7 +135,11 @@ def _open(source: Path) -> Any:
             with silence():
                 return ULog(file, list(_WANTED))
         except Exception as error:  # pyulog raises whatever a damaged header makes it stumble over
-            raise LogError(f"{source.name}: cannot be read as a PX4 log: {error}") from None
+            raise LogError(f"{source.name}: cannot be read as a PX4 log: {_words(error)}") from None
+
+
+def _words(error: Exception) -> str:
+    return "damaged" if isinstance(error, OSError) else str(error)
 
 
 def _ends_within_a_message(source: Path) -> bool:

@@ -21,3 +21,17 @@ def foreign(head: bytes) -> str:
     """What a file of these first bytes is; empty: it may be a log."""
     plain = head.lstrip().lower()
     return next((what for sign, what in _SIGNS.items() if plain.startswith(sign)), "")
+
+
+_LOGS: Final = {
+    b"\x89MCAP0": "rosbag",
+    b"#ROSBAG V": "rosbag",
+    b"SQLite format 3\0": "rosbag",
+    b"ULog\x01\x12\x35": "ulog",
+    b"\xa3\x95\x80\x80": "dataflash",
+}
+
+
+def kind_of(head: bytes) -> str:
+    """The kind of log that a file of these first bytes is; empty: they do not show it."""
+    return next((kind for sign, kind in _LOGS.items() if head.startswith(sign)), "")

@@ -20,8 +20,11 @@ from rosbags.interfaces import Connection
 from logs.importers.rosbag import unindexed
 from logs.store.reader import LogError, LogReader, Record
 from logs.wire.schemas import STORE, is_known
+from models.untrusted.file import opened
 
 _STORAGES: Final = (".mcap", ".db3", ".bag")
+_SIGNS: Final = {b"\x89MCAP0": ".mcap", b"#ROSBAG V": ".bag"}
+_HEAD_BYTES: Final = 16
 _ACTIVE: Final = ".active"  # NAME.bag.active: of a recorder that was killed
 _COMPRESSED: Final = re.compile(r"^\s*compression_mode:\s*[\"']?(?:file|message)", re.MULTILINE | re.IGNORECASE)
 _FAILURES: Final = (rosbag1.ReaderError, rosbag2.ReaderError, apsw.Error, OSError, ValueError, KeyError)
@@ -40,7 +43,7 @@ class Bag:
 
     def __init__(self, source: Path) -> None:
         self.files = _files(source)
-        self.kind = ".bag" if self.files[0].suffix == _ACTIVE else self.files[0].suffix
+        self.kind = _kind(self.files[0])
         self.topics: dict[str, Topic] = {}
         self.notes: list[str] = []
         self._done = 0  # files that are through
@@ -177,6 +180,14 @@ def _files(source: Path) -> list[Path]:
     if packed := [*source.glob("*.zstd")]:
         raise LogError(f"{packed[0]}: unpack it: zstd -d")
     raise LogError(f"{source}: holds no bag (*.mcap, *.db3 or *.bag)")
+
+
+def _kind(path: Path) -> str:
+    """Its storage: by its first bytes, else by its name."""
+    with opened(path) as file:
+        head = file.read(_HEAD_BYTES)
+    named = ".bag" if path.suffix == _ACTIVE else path.suffix
+    return next((kind for sign, kind in _SIGNS.items() if head.startswith(sign)), named)
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
