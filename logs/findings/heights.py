@@ -13,7 +13,7 @@ _STEP_S: Final = 5.0
 _LEAST_M: Final = 2.0  # RMS of a step
 _ALIKE: Final = 0.8  # correlation
 _SCALE: Final = 1.4
-_UNIT: Final = 2.5  # a barometer in the wind of its vehicle reaches 1.8
+_UNIT: Final = 2.8  # a barometer in the wind of its vehicle reaches 2.55; feet are 3.28
 
 
 def odd(streams: Streams) -> tuple[str, Cause] | None:
