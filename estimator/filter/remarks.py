@@ -7,7 +7,7 @@ import numpy as np
 
 from estimator.filter.conflict import Apart
 from estimator.filter.hypotheses import Hypotheses
-from estimator.filter.mismatch import Delays, PathScale, Scatter, delay
+from estimator.filter.mismatch import Delays, Jamming, PathScale, Scatter, delay
 from estimator.filter.relative import drift
 from estimator.sources.base.machine import SourceState
 from estimator.sources.odometry import DRIFT, drift_block
@@ -83,7 +83,7 @@ def imu(hypotheses: Hypotheses | None) -> list[str]:
     return ["the IMU contradicts the fixes: unknown motion is assumed between them"] if doubts else []
 
 
-def scatter(found: Mapping[str, Scatter], t_ns: int) -> list[str]:
+def scatter(found: Mapping[str, Scatter | Jamming], t_ns: int) -> list[str]:
     """Noisy sources."""
     return [
         f"{topic} scatters {math.sqrt(s.factor):.0f} times as far as it claims: jammed?"

@@ -23,10 +23,10 @@ from estimator.filter.alignment import (
     widen_unaligned,
 )  # fmt: skip
 from estimator.filter.eskf import Eskf, Innovation
-from estimator.filter.hypotheses import Hypotheses, Hypothesis
+from estimator.filter.hypotheses import Hypotheses, Hypothesis, Verdict
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.imu_evidence import FELT, ImuEvidence
-from estimator.filter.mismatch import BiasWalk, Delays, PathScale, Scatter, delay, speed_step
+from estimator.filter.mismatch import BiasWalk, Delays, Jamming, PathScale, Scatter, delay, speed_step
 from estimator.filter.relative import steps
 from estimator.filter.relinearise import Stretch
 from estimator.filter.variance_factor import NO_EXCESS
@@ -55,7 +55,6 @@ _NOT_YET = "used once the attitude is known: false axes would mislead the alignm
 _XYZ = 3
 _REFUTED = 2  # positions in a row
 _MAJORITY = 2  # witnesses that contradict the estimate: receiver, fixes, IMU
-_USELESS = 1e4  # times the variance that a source reports, and it is no aid
 
 
 class Tracker:
@@ -77,7 +76,7 @@ class Tracker:
         self.late_cov: Array | None = None  # (3, 3) of the position, by a delay that the newest fix may have
         self.speed_steps: speed_step.Steps = {}
         self.bias_walk = BiasWalk()
-        self.scatter: dict[str, Scatter] = {}  # of sources of positions, and their velocities; never changed in place
+        self.scatter: dict[str, Scatter | Jamming] = {}  # of sources of positions, and their velocities; never changed in place
 
     def copy(self) -> "Tracker":
         """An independent copy; immutable parts are shared."""
@@ -377,15 +376,13 @@ class Tracker:
         assert core.hypotheses is not None
         receiver = self.sources.get(aid.receiver or "", _UNKNOWN)  # of a velocity: it stands and falls with its positions
         trusted = state.phase is Phase.ACTIVE and (receiver.phase is Phase.ACTIVE or aid.t_ns > receiver.silent_ns)
-        known = self.scatter.get(aid.topic) or Scatter(aid.t_ns)
-        trusted = trusted and known.factor < _USELESS
+        known = self.scatter.get(aid.topic) or (Jamming if aid.receiver or aid.geodetic else Scatter)(aid.t_ns)
+        trusted = trusted and known.is_aid
         if known.factor > 1.0 and isinstance(z, Pose | Position | Velocity):
             z = replace_in(z, noise=known.widened(z.noise))
         verdict = core.hypotheses.judge(aid, z, gyro_b, trusted=trusted, vouched=aid.absolute and self._vouched(aid))
         if (aid.absolute or aid.receiver) and isinstance(z, Pose | Position | Velocity):
-            now = known.also(aid.t_ns, verdict.seen, fused=verdict.fused)
-            if alone and known.factor == 1.0 < now.factor and now.by_chance:
-                core.hypotheses.lead.admit_noise(verdict.seen, now.widened(verdict.seen.noise), now.by_chance)
+            now = self._scattered(known, aid, verdict, alone=alone)
             self.scatter = {**self.scatter, aid.topic: now}
         if trusted and aid.absolute and not verdict.explained:
             core.note_variance(aid, verdict.seen)
@@ -425,6 +422,15 @@ class Tracker:
         detail = aid.detail if reason is not Reason.GATED else "; ".join(filter(None, (aid.detail, self._conflict())))
         position = position_innovation(z, verdict.seen.nu, verdict.seen.s) if aid.absolute else None
         return Decision(reason, tuple(verdict.seen.nu.tolist()), tuple(sigma.tolist()), ratio, detail, position), state
+
+    def _scattered(self, known: Scatter | Jamming, aid: Aid, verdict: Verdict, *, alone: bool) -> Scatter | Jamming:
+        core = self.core
+        if isinstance(known, Jamming):
+            return known.also(aid.t_ns, verdict.seen, core.variance_factor.value)
+        now = known.also(aid.t_ns, verdict.seen, fused=verdict.fused)
+        if core.hypotheses is not None and alone and known.factor == 1.0 < now.factor and now.by_chance:
+            core.hypotheses.lead.admit_noise(verdict.seen, now.widened(verdict.seen.noise), now.by_chance)
+        return now
 
     def _note_speed(self, aid: Aid, z: Measurement, gyro_b: Array, samples: ImuBuffer, *, fused: bool) -> None:
         bank = self.core.hypotheses

@@ -1,4 +1,4 @@
-"""A source noisier than it reports: its readings scatter about one another.
+"""A source of fixes noisier than it reports: they scatter about one another.
 
     d_k = nu_k - 2 nu_{k-1} + nu_{k-2},   r_k = d_k^T (R_k + 4 R_{k-1} + R_{k-2})^-1 d_k
     R <- s R,   s = r_(6) / m_50 where r_(3) > chi2_0.96,   from where most nu_k^T S_k^-1 nu_k > chi2_0.9999 on
@@ -18,6 +18,7 @@ from models.messages import Array
 
 _WINDOW, _RANK, _MIDDLE = 12, 3, 6
 _USUAL, _FAR = 0.96, 0.9999
+_USELESS = 1e4
 _APART_S = 1.1  # readings further apart are not compared
 _XYZ = 3
 
@@ -52,6 +53,11 @@ class Scatter(NamedTuple):
         """How many of the last readings were fused with too small an R; more than one or two are no chance."""
         fused = sum([reading.fused for reading in self.last[2 + _RANK :]])
         return fused if fused < _RANK else 0
+
+    @property
+    def is_aid(self) -> bool:
+        """Whether its readings are worth their noise."""
+        return self.factor < _USELESS
 
     def also(self, t_ns: int, seen: Innovation, *, fused: bool) -> "Scatter":
         """With one more innovation, whose noise is widened."""
