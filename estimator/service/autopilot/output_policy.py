@@ -1,10 +1,10 @@
 """Output: "odometry" continuously, a "fix" when a landmark or outside fix was fused, not the autopilot's GNSS.
 
-Quality, r the 95 % radius, r_max = most_radius_m:
+Quality, r and r_v the 95 % radii of position and velocity, r_max = most_radius_m, v_max = 1 m/s:
 
-    100 ... 1   100 (1 - r / r_max)
+    100 ... 1   100 (1 - r / r_max), or where r >= r_max 100 (1 - r_v / v_max) of the velocity alone (PX4)
       0         only the autopilot's own GNSS and IMU, by own_gnss_quality
-     -1         r >= r_max, no IMU, not aligned, or integrity "do not use"
+     -1         both too large, no IMU, not aligned, or integrity "do not use"
 """
 
 from collections.abc import Iterable, Sequence
@@ -23,6 +23,7 @@ _STEP_M, _STEP_SIGMAS = 1.0, 3.0  # a step is larger than both
 _GAP_NS: Final = 1_000_000_000  # after a longer pause a step cannot be separated from the way flown, and is assumed
 _GNSS_KINDS: Final = frozenset({"gnss_position", "gnss_velocity"})
 _NEVER: Final = -(2**62)
+_MOST_VELOCITY_M_S: Final = 1.0  # 95 % radius of usable velocity; PX4's COM_VEL_FS_EVH
 _SECOND_NS: Final = 1_000_000_000
 _LARGEST: Final = 1e12  # of any number of an estimate that is one, in SI units and their squares
 _TINY: Final = 1e-9
@@ -42,7 +43,11 @@ class AutopilotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = "auto"
     most_radius_m: Annotated[
         float,
-        Meta(ge=0.1, le=1e6, description="m: 95 % radius r from which on odometry has quality -1; below 100 (1 - r / this)"),
+        Meta(
+            ge=0.1,
+            le=1e6,
+            description="m: 95 % radius r from which on the position is not to be used; below quality 100 (1 - r / this)",
+        ),
     ] = 15.0
     gnss_quiet_s: Annotated[
         float, Meta(ge=0, le=1e6, description="s: its own GNSS must not have been fused for so long before a fix goes out")
@@ -78,7 +83,7 @@ class OutputPolicy:
         self._gnss_ns = self._outside_ns = _NEVER
         self._steps = 0
         self._last: tuple[Estimate, Vec3] | None = None
-        self._usable_ns = _NEVER  # of the last one sent that was to be used
+        self._usable_ns = _NEVER  # of the last position sent that was to be used
         self.integrity: Integrity | None = None  # the newest, where alert limits are configured
 
     @property
@@ -126,34 +131,43 @@ class OutputPolicy:
         scale[2] = max(1.0, self.integrity.sigma_v_m / max(sigma_v, _TINY))
         return msgspec.structs.replace(estimate, covariance=P * np.minimum(np.outer(scale, scale), _LARGEST))
 
-    def quality(self, estimate: Estimate, *, one_source_at_a_time: bool) -> int:
-        """-1 to 100, as above; one_source_at_a_time: for own_gnss_quality = "auto"."""
+    def quality(self, estimate: Estimate, *, one_source_at_a_time: bool) -> tuple[int, bool]:
+        """-1 to 100, as above, and whether the position may be used; one_source_at_a_time: ArduPilot."""
         if estimate.mode not in {Mode.AIDED, Mode.ODOMETRY, Mode.DEAD_RECKONING} or self.is_alarmed:
-            return -1
-        share = float(horizontal_radius(estimate.covariance[None, :2, :2])[0]) / self._config.most_radius_m
+            return -1, False
+        share = _radius(estimate, E.P) / self._config.most_radius_m
+        has_position = share < 1.0
+        if not has_position and not one_source_at_a_time:
+            share = _radius(estimate, E.V) / _MOST_VELOCITY_M_S
         if not share < 1.0:
-            return -1
-        rests_on_its_own = (
-            self._outside_ns == _NEVER or estimate.t_ns - self._gnss_ns <= self._quiet_ns or self._gnss_ns > self._outside_ns
+            return -1, False
+        without_ns = estimate.t_ns - self._gnss_ns  # increments since then are from outside
+        rests_on_its_own = without_ns <= self._quiet_ns or (
+            estimate.mode is not Mode.ODOMETRY and (self._outside_ns == _NEVER or self._gnss_ns > self._outside_ns)
         )
         policy = self._config.own_gnss_quality
         if rests_on_its_own and (policy == "zero" or (policy == "auto" and not one_source_at_a_time)):
-            return 0
-        return max(1, round(100.0 * (1.0 - share)))
+            return 0, has_position
+        return max(1, round(100.0 * (1.0 - share))), has_position
 
-    def reset_counter(self, estimate: Estimate, p_n: Vec3, quality: int) -> int:
+    def reset_counter(self, estimate: Estimate, p_n: Vec3, *, usable: bool) -> int:
         """0 to 255, for p_n [m] in the autopilot's frame.
 
-        Increased for |p - (p' + (v + v') dt / 2)| > max(1 m, 3 sigma), a reset, or a second without use.
+        Increased for |p - (p' + (v + v') dt / 2)| > max(1 m, 3 sigma), a reset, or a second without a usable position.
         """
         last, usable_ns = self._last, self._usable_ns
         self._last = estimate, p_n
-        self._usable_ns = estimate.t_ns if quality >= 0 else usable_ns
+        self._usable_ns = estimate.t_ns if usable else usable_ns
         if last is not None:
             step = _has_stepped(*last, estimate, p_n)
-            again = quality >= 0 and estimate.t_ns - usable_ns > _GAP_NS
+            again = usable and estimate.t_ns - usable_ns > _GAP_NS
             self._steps += (step or again) and last[0].reset_counter == estimate.reset_counter
         return (estimate.reset_counter + self._steps) % _BYTE
+
+
+def _radius(e: Estimate, part: slice) -> float:
+    """Of the horizontal position [m] or velocity [m/s], 95 %."""
+    return float(horizontal_radius(e.covariance[None, part, part][:, :2, :2])[0])
 
 
 def _has_stepped(before: Estimate, p_before: Vec3, now: Estimate, p_n: Vec3) -> bool:

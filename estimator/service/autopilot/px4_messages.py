@@ -150,6 +150,7 @@ _GLOBAL: Final = struct.Struct("<4sQQddff??2xffBBBxfff??")
 _REFERENCE: Final = struct.Struct("<4x124x??2x8xddf")  # of VehicleLocalPosition, from xy_global to ref_alt
 _GPS: Final = struct.Struct("<4xQQ8x4df4xB3xff14xB5xB7x3f4x?")  # of SensorGps, to vel_ned_valid
 _NED, _VISION = 1, 2
+_NOT_GIVEN: Final = None, None, None
 _BYTE: Final = 256
 
 
@@ -190,19 +191,35 @@ def receiver(data: bytes, geoid_m: float, topic: str) -> tuple[GnssFix, GnssVelo
 
 
 def vehicle_odometry(
-    e: Estimate, pose: tuple[Vec3, Array], sent_us: int, sample_us: int, counter: int, quality: int
+    e: Estimate, pose: tuple[Vec3 | None, Array], sent_us: int, sample_us: int, counter: int, quality: int
 ) -> bytes | None:
     """The estimate in NED; None: a number does not fit.
 
-    pose: position and q_nb in PX4's frame; v = R_pose R_nb^T v_n.
+    pose: position (None: not to be used, sent as nan) and q_nb in PX4's frame; v = R_pose R_nb^T v_n.
     """
     p_local, q_local = pose
     v_local = so3.matrix(q_local) @ so3.matrix(so3.normalise(e.nav[X.Q])).T @ e.nav[X.V]
     v = np.diag(e.covariance)
-    numbers = p_local, tuple(q_local.tolist()), vec3(v_local), e.gyro_b, vec3(v[E.P]), vec3(v[E.THETA]), vec3(v[E.V])
-    p, q_nb, velocity, gyro, var_p, var_theta, var_v = numbers
+    p, (w, x, y, z), velocity = p_local or _NOT_GIVEN, q_local.tolist(), vec3(v_local)
+    var_p, var_theta, var_v = (vec3(v[part]) for part in (E.P, E.THETA, E.V))
     return _packed(
-        _ODOMETRY, sent_us, sample_us, _NED, *p, *q_nb, _NED, *velocity, *gyro, *var_p, *var_theta, *var_v, counter, quality
+        _ODOMETRY,
+        sent_us,
+        sample_us,
+        _NED,
+        *p,
+        w,
+        x,
+        y,
+        z,
+        _NED,
+        *velocity,
+        *e.gyro_b,
+        *var_p,
+        *var_theta,
+        *var_v,
+        counter,
+        quality,
     )
 
 
@@ -226,11 +243,11 @@ def vehicle_global_position(e: Estimate, lla: Vec3, geoid_m: float, sent_us: int
     )
 
 
-def _packed(layout: struct.Struct, *fields: float) -> bytes | None:
-    if not all(map(math.isfinite, fields)):
+def _packed(layout: struct.Struct, *fields: float | None) -> bytes | None:
+    if not all(x is None or math.isfinite(x) for x in fields):
         return None
     try:
-        return layout.pack(_HEAD, *fields)
+        return layout.pack(_HEAD, *(math.nan if x is None else x for x in fields))
     except (struct.error, OverflowError):
         return None
 

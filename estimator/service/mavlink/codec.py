@@ -1,6 +1,7 @@
 """MAVLink messages <-> records, both NED and FRD. ODOMETRY differs:
 
 PX4        LOCAL_NED, BODY_FRD; covariances are covariances
+           a position not to be used is nan, beside a velocity that may be
 ArduPilot  LOCAL_FRD, BODY_FRD, numbers NED; of three numbers c of the pose's diagonal it makes
            sigma = (c_1^2 + c_2^2 + c_3^2)^(1/3), so that c_i = sqrt(sigma_i^3 / 3) gives it sigma;
            position and attitude: autopilot/local_frame.py
@@ -76,7 +77,8 @@ _TEXT_BYTES: Final = 50
 _NOT_COUNTED: Final = 255  # satellites: there are none
 
 Stamp = Callable[[int], int | None]  # ns since boot -> ns on our clock
-Pose = tuple[Vec3, Array]  # position, m, and attitude (w, x, y, z)
+Pose = tuple[Vec3 | None, Array]  # position, m (None: not to be used), and attitude (w, x, y, z)
+_NOT_GIVEN: Final = math.nan, math.nan, math.nan
 
 
 class Place(NamedTuple):
@@ -166,7 +168,7 @@ def odometry(e: Estimate, pose: Pose, time_usec: int, counter: int, quality: int
         time_usec,
         frame,
         mavlink.MAV_FRAME_BODY_FRD,
-        *p_n,
+        *(p_n or _NOT_GIVEN),
         q_nb.tolist(),
         *vec3(R_bn @ e.nav[X.V]),
         *e.gyro_b,

@@ -174,11 +174,11 @@ class MavlinkLink:
         elif has_none and estimate.origin is not None and self._policy.starts_without_gnss:
             self._since_ns = self._clock.now_ns()
             self._tell(codec.set_origin(estimate.origin, self._geoid_m, self._config.system))
-        quality = self._policy.quality(estimate, one_source_at_a_time=is_ardupilot) if pose else -1
-        self._announce(estimate, quality, knows_frame=pose is not None)
-        pose, self._quality = pose or ours, quality
-        counter = self._policy.reset_counter(estimate, pose[0], quality)
-        return codec.odometry(estimate, pose, time_usec, counter, quality, autopilot)
+        quality, usable = self._policy.quality(estimate, one_source_at_a_time=is_ardupilot) if pose else (-1, False)
+        self._announce(estimate, quality, usable=usable, knows_frame=pose is not None)
+        (p, q), self._quality = pose or ours, quality
+        counter = self._policy.reset_counter(estimate, p, usable=usable)
+        return codec.odometry(estimate, (p if usable or quality < 0 else None, q), time_usec, counter, quality, autopilot)
 
     def _tell_alert(self) -> None:
         now = self._policy.integrity
@@ -188,10 +188,10 @@ class MavlinkLink:
         if all(self._tell(part) for part in codec.alert(now, self._alerts)):
             self._alerted = now.state
 
-    def _announce(self, estimate: Estimate, quality: int, *, knows_frame: bool) -> None:
+    def _announce(self, estimate: Estimate, quality: int, *, usable: bool, knows_frame: bool) -> None:
         radius_m = float(horizontal_radius(estimate.covariance[None, :2, :2])[0])
         if quality >= 0:
-            line = "odometry may be used"
+            line = "odometry may be used" if usable else "of odometry the velocity may be used, not the position"
         elif self._policy.is_alarmed:  # the reason, with its numbers, has a line of its own
             line = "odometry is not to be used: so says integrity"
         elif not knows_frame and self._local.place is not None and self._map_origin is not None:

@@ -19,6 +19,7 @@ _STARTS: Final = frozenset({_V1, 0xFD})
 _NO_FRAME: Final = frozenset({"Bad prefix", "Invalid signature"})  # skipped already; a whole frame, of somebody else
 _HEADER_V1, _HEADER_V2 = 6, 10
 VISION_POSITION_DELTA: Final[int] = ardupilotmega.MAVLINK_MSG_ID_VISION_POSITION_DELTA  # of ArduPilot's dialect alone
+_POSITION: Final = frozenset({"x", "y", "z"})
 GNSS_INTEGRITY: Final[int] = development.MAVLINK_MSG_ID_GNSS_INTEGRITY  # not yet in the common dialect
 mavlink.mavlink_map.setdefault(VISION_POSITION_DELTA, ardupilotmega.MAVLink_vision_position_delta_message)
 mavlink.mavlink_map.setdefault(GNSS_INTEGRITY, development.MAVLink_gnss_integrity_message)
@@ -126,6 +127,10 @@ class Wire(mavlink.MAVLink):  # type: ignore[misc]
 
 
 def _is_finite(message: Any) -> bool:
-    values = (getattr(message, name) for name in message.fieldnames)
+    """Every number; PX4's ODOMETRY may lack its position."""
+    names = set(message.fieldnames)
+    if message.get_type() == "ODOMETRY" and message.frame_id == mavlink.MAV_FRAME_LOCAL_NED:
+        names -= _POSITION if all(math.isnan(getattr(message, name)) for name in _POSITION) else set()
+    values = (getattr(message, name) for name in names)
     numbers = (x for value in values for x in (value if isinstance(value, list) else [value]))
     return all(math.isfinite(x) for x in numbers if isinstance(x, float))

@@ -127,10 +127,10 @@ class Px4Link:
         pose = self._local.pose(estimate, self._geoid_m, is_px4=True)
         if pose is None and self._has_none and self._from_ours:
             pose = ours
-        quality = self._policy.quality(estimate, one_source_at_a_time=False) if pose else -1
-        pose, self._quality = pose or ours, quality
-        counter = self._policy.reset_counter(estimate, pose[0], quality)
-        return px4.vehicle_odometry(estimate, pose, sent_us, sample_us, counter, quality)
+        quality, usable = self._policy.quality(estimate, one_source_at_a_time=False) if pose else (-1, False)
+        (p, q), self._quality = pose or ours, quality
+        counter = self._policy.reset_counter(estimate, p, usable=usable)
+        return px4.vehicle_odometry(estimate, (p if usable or quality < 0 else None, q), sent_us, sample_us, counter, quality)
 
     def _tell_fix(self, estimate: Estimate, sent_us: int, sample_us: int) -> None:
         origin = Origin.of(estimate.origin)

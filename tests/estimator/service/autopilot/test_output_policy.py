@@ -12,15 +12,26 @@ T0, SECOND = 1_795_000_000_000_000_000, 1_000_000_000
 
 
 def _estimate(
-    t_s: float = 0.0, mode: Mode = Mode.AIDED, *, sigma: float = 0.1, p_n: Vec3 = (0.0, 0.0, 0.0), counter: int = 3
+    t_s: float = 0.0,
+    mode: Mode = Mode.AIDED,
+    *,
+    sigma: float = 0.1,
+    sigma_v: float = 1.0,
+    p_n: Vec3 = (0.0, 0.0, 0.0),
+    counter: int = 3,
 ) -> Estimate:
     """Flies north at 5 m/s; p_n: from where that brings it."""
     nav, covariance = np.zeros(16), np.eye(15)
     nav[X.P], nav[X.V] = np.add(p_n, (5.0 * t_s, 0.0, 0.0)), (5.0, 0.0, 0.0)
     nav[X.Q] = so3.from_euler(0.0, 0.0, 1.0)
     covariance[E.P, E.P] *= sigma**2
+    covariance[E.V, E.V] *= sigma_v**2
     t_ns = T0 + round(t_s * SECOND)
     return Estimate(t_ns, t_ns, nav, covariance, (0.0, 0.0, 0.0), mode, counter, t_ns)
+
+
+def _quality(policy: OutputPolicy, estimate: Estimate, *, one_at_a_time: bool = False) -> int:
+    return policy.quality(estimate, one_source_at_a_time=one_at_a_time)[0]
 
 
 def _fused(kind: str, t_s: float, reason: Reason = Reason.FUSED) -> AidStatus:
@@ -45,13 +56,13 @@ def _integrity(state: Alert, sigma_m: float = 0.1) -> Integrity:
 def test_what_integrity_forbids_is_neither_odometry_nor_fix() -> None:
     policy = OutputPolicy(AutopilotConfig())
     policy.note([_fused("pose", 0), _integrity(Alert.CAUTION)])
-    assert policy.quality(_estimate(), one_source_at_a_time=False) > 0
+    assert _quality(policy, _estimate()) > 0
     assert policy.is_fix(_estimate())
     policy.note([_integrity(Alert.DO_NOT_USE)])
-    assert policy.quality(_estimate(), one_source_at_a_time=False) == -1
+    assert _quality(policy, _estimate()) == -1
     assert not policy.is_fix(_estimate())
     policy.note([_integrity(Alert.USABLE)])
-    assert policy.quality(_estimate(), one_source_at_a_time=False) > 0
+    assert _quality(policy, _estimate()) > 0
 
 
 def test_an_accuracy_is_that_of_the_protection_level_where_one_is_judged() -> None:
@@ -70,7 +81,7 @@ def test_a_second_receiver_is_news_to_the_autopilot() -> None:
     policy = OutputPolicy(AutopilotConfig(own_gnss=False))
     assert policy.note([_fused("gnss_position", 0)])
     assert policy.is_fix(_estimate())
-    assert policy.quality(_estimate(), one_source_at_a_time=False) > 0
+    assert _quality(policy, _estimate()) > 0
 
 
 @pytest.mark.parametrize(
@@ -84,7 +95,7 @@ def test_whether_what_rests_on_its_own_gnss_has_a_quality_is_configured(
     policy = OutputPolicy(AutopilotConfig(own_gnss_quality=gnss_quality))  # type: ignore[arg-type]
 
     def is_of_use(t_s: float) -> bool:
-        quality = policy.quality(_estimate(t_s), one_source_at_a_time=one_at_a_time)
+        quality = _quality(policy, _estimate(t_s), one_at_a_time=one_at_a_time)
         assert quality >= 0
         return quality > 0
 
@@ -106,21 +117,42 @@ def test_the_quality_is_the_radius_and_ends_before_it_is_too_large(radius_m: flo
     policy = OutputPolicy(AutopilotConfig())
     policy.note([_fused("pose", 0)])
     estimate = _estimate(mode=mode, sigma=radius_m / 2.4477)  # 95 % of a circular normal distribution
-    assert policy.quality(estimate, one_source_at_a_time=True) == quality
+    assert policy.quality(estimate, one_source_at_a_time=True) == (quality, quality > 0)
+
+
+@pytest.mark.parametrize(
+    ("sigma", "sigma_v", "px4", "ardupilot"),
+    [(1.0, 9.0, (84, True), (84, True)), (20.0, 0.1, (76, False), (-1, False)), (20.0, 0.45, (-1, False), (-1, False))],
+)
+def test_px4_may_use_a_good_velocity_beside_a_position_that_it_may_not(
+    sigma: float, sigma_v: float, px4: tuple[int, bool], ardupilot: tuple[int, bool]
+) -> None:
+    policy = OutputPolicy(AutopilotConfig())
+    policy.note([_fused("pose", 0)])
+    estimate = _estimate(mode=Mode.ODOMETRY, sigma=sigma, sigma_v=sigma_v)
+    assert policy.quality(estimate, one_source_at_a_time=False) == px4
+    assert policy.quality(estimate, one_source_at_a_time=True) == ardupilot
+
+
+@pytest.mark.parametrize(("mode", "t_s", "quality"), [(Mode.ODOMETRY, 6, 98), (Mode.ODOMETRY, 4, 0), (Mode.DEAD_RECKONING, 6, 0)])
+def test_odometry_after_its_own_gnss_is_news_to_the_autopilot_and_its_imu_is_not(mode: Mode, t_s: float, quality: int) -> None:
+    policy = OutputPolicy(AutopilotConfig())
+    policy.note([_fused("gnss_position", 0)])
+    assert _quality(policy, _estimate(t_s, mode)) == quality
 
 
 @pytest.mark.parametrize("mode", [Mode.COASTING, Mode.ALIGNING_HEADING, Mode.STARTING])
 def test_what_is_not_to_be_used_has_no_quality(mode: Mode) -> None:
-    assert OutputPolicy(AutopilotConfig()).quality(_estimate(mode=mode), one_source_at_a_time=True) == -1
+    assert _quality(OutputPolicy(AutopilotConfig()), _estimate(mode=mode)) == -1
 
 
 def test_a_covariance_that_is_none_has_no_quality() -> None:
-    assert OutputPolicy(AutopilotConfig()).quality(_estimate(sigma=np.nan), one_source_at_a_time=True) == -1
+    assert _quality(OutputPolicy(AutopilotConfig()), _estimate(sigma=np.nan, sigma_v=np.nan)) == -1
 
 
 def _counters(*sent: tuple[Estimate, int]) -> list[int]:
     policy = OutputPolicy(AutopilotConfig())
-    return [policy.reset_counter(e, vec3(e.nav[X.P]), quality) for e, quality in sent]
+    return [policy.reset_counter(e, vec3(e.nav[X.P]), usable=quality >= 0) for e, quality in sent]
 
 
 def test_the_counter_counts_the_steps_of_what_is_sent() -> None:

@@ -262,6 +262,26 @@ def test_until_px4_has_had_time_to_answer_odometry_is_not_to_be_used() -> None:
         assert (last.quality > 0, last.x, last.y, last.z) == (True, 10.0, 20.0, -30.0)
 
 
+@pytest.mark.parametrize("kind", [PX4, ARDUPILOT])
+def test_where_the_position_is_of_no_use_px4_is_told_the_velocity_alone(kind: int) -> None:
+    with _px4(kind=kind) as (link, _, clock, autopilot):
+        _say_origin(autopilot, (0.0, 0.0, 0.0))
+        autopilot.until(lambda: "not known" not in link.report()["ekf_origin"], "its origin is known")
+        t_ns = clock.now_ns()
+        wide = replace(_estimate(t_ns), covariance=np.diag([400.0] * 3 + [0.01] * 12), mode=Mode.ODOMETRY)
+        link.send([_fused(t_ns), wide], [])
+        autopilot.until(lambda: autopilot.of("ODOMETRY"), "odometry")
+        sent = autopilot.of("ODOMETRY")[-1]
+        assert np.isfinite([sent.vx, sent.vy, sent.vz, *sent.q, *sent.velocity_covariance]).all()
+        if kind == PX4:
+            assert np.isnan([sent.x, sent.y, sent.z]).all()
+            assert sent.quality == 76  # 95 % within 0.24 of 1 m/s
+            assert said == ["px4: of odometry the velocity may be used, not the position"]
+        else:
+            assert np.isfinite([sent.x, sent.y, sent.z]).all()
+            assert sent.quality == -1
+
+
 @pytest.mark.parametrize("own", [False, True], ids=["without-gnss", "with-its-gnss"])
 def test_an_ardupilot_without_an_origin_is_given_ours_where_no_gnss_of_its_own_was_fused(own: bool) -> None:
     with _px4(kind=ARDUPILOT) as (link, _, clock, autopilot):

@@ -12,7 +12,7 @@ import pytest
 import zenoh
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from benchmarks.service.vehicle import ORIGIN, RADIUS_M
+from benchmarks.service.vehicle import ORIGIN, RADIUS_M, SPEED_M_S
 from estimator.config import parse
 from estimator.service.autopilot import px4_messages as px4
 from estimator.service.zenoh.keys import attachment
@@ -228,6 +228,21 @@ def test_without_gnss_px4_begins_where_we_do_if_so_configured(tmp_path: Path) ->
     _assert_circle(ours, (0.0, 0.0, 0.0))
     _assert_circle(theirs, (0.0, 300.0, 0.0))  # it has one after all: that counts
     assert {m.quality for m in silent} == {-1}  # not back to ours, 300 m away
+
+
+def test_beyond_the_most_radius_px4_is_told_the_velocity_alone(tmp_path: Path) -> None:
+    port = free_port()
+    text = toml(tmp_path, port) + '[px4]\nenabled = true\norigin = "map"\n[autopilot]\nown_gnss = false\nmost_radius_m = 0.1\n'
+    with in_thread(parse(text), tmp_path), client(port) as session, client(port) as vehicle:
+        autopilot = _Px4(session)
+        for _ in range(5):
+            autopilot.speak()
+        fly(vehicle, 1.5)
+        of_use = [m for m in _sent(autopilot, vehicle, None) if m.quality >= 0]
+    assert len(of_use) > 2
+    for m in of_use:
+        assert np.isnan(m.position).all()
+        assert np.hypot(*m.velocity[:2]) == pytest.approx(SPEED_M_S, abs=1.0)  # the most that its quality allows
 
 
 def _place(p_n: tuple[float, float, float]) -> tuple[float, float, float]:
