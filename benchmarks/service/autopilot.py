@@ -22,7 +22,7 @@ from models.messages import GnssFix, GnssVelocity, ImuSample, Input
 
 _BOOTED_NS: Final = time.time_ns() - 500_000_000_000
 _BEAT_S, _ASK_S, _PATIENCE_S = 1.0, 0.1, 60.0
-_ACCEL_AND_GYRO: Final = 0b111111
+_ACCEL_GYRO_MAG: Final = 0b111111111
 _SHARES: Final = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999, "max": 1.0}
 
 
@@ -129,7 +129,7 @@ def _boot_ns(t_ns: int | None = None) -> int:
 
 def highres_imu(s: ImuSample, boot_us: int) -> Any:
     """An IMU sample; boot_us: its stamp since boot."""
-    rest = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 20.0, _ACCEL_AND_GYRO
+    rest = 0.2, 0.0, 0.4, 0.0, 0.0, 0.0, 20.0, _ACCEL_GYRO_MAG
     return mavlink.MAVLink_highres_imu_message(boot_us, *s.accel_b, *s.gyro_b, *rest)
 
 

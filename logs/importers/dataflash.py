@@ -106,7 +106,8 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     )
     aids = [*gnss, *_sensors(tables, timebase_us), *_odometry(tables, timebase_us, notes)]
     aids += [*_camera(tables, timebase_us), *_flow(tables, timebase_us, [*imus, *aids], notes), *_wheels(tables, timebase_us)]
-    known = (*([_attitude(own, tables, timebase_us)] if own else []), *([truth] if truth else []))
+    attitude = _attitude(own, tables, timebase_us, parameters.get("COMPASS_USE", 1.0) > 0.0, notes) if own else []
+    known = (*attitude, *([truth] if truth else []))
     return Recording.of((*aids, *imus, *known), settings, notes, recording.AUTOPILOT if truth and truth is own else "")
 
 
@@ -338,12 +339,16 @@ def _own_estimate(tables: Tables, timebase_us: int) -> Stream | None:
     )
 
 
-def _attitude(own: Stream, tables: Tables, timebase_us: int) -> Stream:
-    """From the EKF's first origin on: before, heading is magnetic."""
+def _attitude(own: Stream, tables: Tables, timebase_us: int, uses_compass: bool, notes: list[str]) -> list[Stream]:
+    """From the EKF's first origin on: before, heading is magnetic. None with a dead compass, or without."""
     *_, q_nb = own.columns
+    field = tables.get("MAG")
+    if not uses_compass or (field is not None and not _vector(field, "MagX", "MagY", "MagZ").any()):
+        notes.append("the autopilot's attitude is left out: it has no compass, or a dead one, and the heading may be anything")
+        return []
     first = _origin_rows(tables)[:1]
     since_ns = _t_ns(tables["ORGN"][_TIME][first], timebase_us)[0] if len(first) else 0
-    return recording.attitude(own.t_ns, own.arrived_ns, np.where((own.t_ns >= since_ns)[:, np.newaxis], q_nb, np.nan))
+    return [recording.attitude(own.t_ns, own.arrived_ns, np.where((own.t_ns >= since_ns)[:, np.newaxis], q_nb, np.nan))]
 
 
 def _origin_rows(tables: Tables) -> NDArray[np.intp]:

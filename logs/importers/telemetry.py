@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from pymavlink import mavutil
+from pymavlink.dialects.v20 import ardupilotmega, development
 
 from logs.importers.recording import Progress, Times
 from logs.store.reader import LogError
@@ -19,6 +20,7 @@ from logs.wire.increments import SEEN_FROM_OUTSIDE
 from models.messages import Array
 from models.untrusted.file import opened
 
+ardupilotmega.mavlink_map.setdefault(development.MAVLINK_MSG_ID_GNSS_INTEGRITY, development.MAVLink_gnss_integrity_message)
 _RAW = ("xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc", "xmag", "ymag", "zmag")
 _GPS = ("fix_type", "lat", "lon", "alt", "eph", "epv", "vel", "cog", "alt_ellipsoid", "h_acc", "v_acc", "vel_acc", "yaw")
 _WHEELS = 16
@@ -39,6 +41,7 @@ FIELDS = {
         "quality", "distance",
     ),
     "GPS_GLOBAL_ORIGIN": ("latitude", "longitude", "altitude"),
+    "GNSS_INTEGRITY": ("id", "jamming_state", "spoofing_state"),
 }  # fmt: skip
 _NOT_A_VEHICLE = 8  # MAV_AUTOPILOT_INVALID
 _UNIX_US = 1e14  # stamps above it count from 1970

@@ -2,7 +2,7 @@
 
     HIGHRES_IMU, else RAW_IMU, SCALED_IMU, SCALED_IMU2 (coarse: noted)  ->  /imu, /mag
     SCALED_IMU2, SCALED_IMU3 at 20 Hz or more  ->  /imu2, /imu3
-    GPS_RAW_INT, GPS2_RAW         ->  /gnss, /gnss/velocity, /gnss2, /gnss2/velocity
+    GPS_RAW_INT, GPS2_RAW         ->  /gnss, /gnss/velocity, /gnss2, /gnss2/velocity; GNSS_INTEGRITY: their state
     SCALED_PRESSURE               ->  /baro, indicated /airspeed                       DISTANCE_SENSOR, downwards  ->  /range
     SIM_STATE                     ->  /truth: of ArduPilot's simulator
     LOCAL_POSITION_NED, ATTITUDE  ->  /truth without SIM_STATE: the autopilot's estimate, a reference only;
@@ -21,10 +21,11 @@ import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
 from logs.importers import frames, recording, sensors, simulator, steps
-from logs.importers.recording import DEFAULTS, ImportOptions, Progress, Recording, Stream
+from logs.importers.recording import DEFAULTS, ImportOptions, Progress, Recording, Stream, Times
 from logs.importers.settings import Settings
 from logs.importers.telemetry import FIELDS, TURN, WAY, Q, Table, dated, messages_of, nanoseconds
 from logs.store.reader import LogError
+from logs.wire.receiver import receiver_state
 from models.frames import GRAVITY
 from models.messages import Array, Vec3
 
@@ -38,6 +39,7 @@ _OTHER_IMUS = ("SCALED_IMU2", "SCALED_IMU3")
 _SLOWEST_IMU_NS = 50_000_000  # of another IMU, that can take over
 _UNKNOWN = 65535
 _LEFT_UP = (mavlink.MAV_FRAME_LOCAL_FLU, mavlink.MAV_FRAME_LOCAL_ENU)  # the body's axes stay FRD
+_FLAGS_NS = 3_000_000_000  # flags older than this are of the past
 _GAP_NS = 2_000_000_000  # attitudes further apart are not interpolated
 _SPEED_SIGMA = 0.5  # m/s, where the receiver reports none
 _NO_VERTICAL_SIGMA = 100.0  # m/s: GPS_RAW_INT has no vertical speed; 0 with this says nothing
@@ -50,7 +52,8 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     notes = [f"{source.name}: {damaged} damaged messages passed over"] if damaged else []
     tables = dated(messages, notes)
     imu = _imu(source, tables, options.imu.upper(), autopilot, notes)
-    gnss = [stream for name, topic in _RECEIVERS.items() for stream in _gnss(source, tables.get(name), topic)]
+    integrity = tables.get("GNSS_INTEGRITY")
+    gnss = [stream for name in _RECEIVERS for stream in _gnss(source, tables.get(name), name, integrity, notes)]
     own = _own_estimate(tables)
     truth, origin = _simulated(tables) or (own, None)
     notes.append(simulator.about(truth, own, "LOCAL_POSITION_NED with ATTITUDE"))
@@ -77,7 +80,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
             *_range(tables),
             *_field(tables, autopilot),
             *_heading(tables),
-            *_attitude(tables),
+            *_attitude(tables, autopilot, notes),
             *_wheels(tables),
             imu,
             *_other_imus(tables, imu, notes),
@@ -130,16 +133,20 @@ def _has_ellipsoid(table: Table) -> Array:
     return known
 
 
-def _gnss(source: Path, table: Table | None, topic: str) -> list[Stream]:
+def _gnss(source: Path, table: Table | None, name: str, integrity: Table | None, notes: list[str]) -> list[Stream]:
     if table is None:
         return []
+    topic = _RECEIVERS[name]
     height = np.where(_has_ellipsoid(table), table["alt_ellipsoid"], table["alt"]) * 1e-3
     lla = np.stack([table["lat"] * 1e-7, table["lon"] * 1e-7, height], axis=1)
     sensors.check_place(lla, source.name)
     status = sensors.navsat_status(table["fix_type"])
     arrived_ns = table.arrived_ns
     t_ns = np.where(status < 0, arrived_ns, table.t_ns)  # without a fix ArduPilot repeats the stamp of the last one
-    streams = [recording.gnss(t_ns, arrived_ns, lla, _position_variance(table), status, topic)]
+    flags = _flags(integrity, list(_RECEIVERS).index(name), arrived_ns)
+    if flags.any():
+        notes.append(f"{topic}: the receiver reports jamming or spoofing in {np.count_nonzero(flags)} of {len(flags)} fixes")
+    streams = [recording.gnss(t_ns, arrived_ns, lla, _position_variance(table), status, topic, flags)]
     moving = np.flatnonzero((status >= 0) & (table["vel"] != _UNKNOWN) & (table["cog"] != _UNKNOWN))
     if len(moving):
         speed, course = table["vel"][moving] * 1e-2, np.deg2rad(table["cog"][moving] * 1e-2)
@@ -148,6 +155,19 @@ def _gnss(source: Path, table: Table | None, topic: str) -> list[Stream]:
         variance = np.stack([sigma**2, sigma**2, np.full(len(moving), _NO_VERTICAL_SIGMA**2)], axis=1)
         streams.append(recording.gnss_velocity(t_ns[moving], arrived_ns[moving], v_n, variance, f"{topic}/velocity"))
     return streams
+
+
+def _flags(integrity: Table | None, number: int, arrived_ns: Times) -> Array:
+    """(n,) ReceiverState of receiver `number` as its newest GNSS_INTEGRITY of at most 3 s ago says."""
+    rows = np.flatnonzero(integrity["id"] == number) if integrity else np.array([], int)
+    if integrity is None or not len(rows):
+        return np.zeros(len(arrived_ns))
+    rows = rows[np.argsort(integrity.arrived_ns[rows], kind="stable")]
+    states = receiver_state(integrity["jamming_state"][rows], integrity["spoofing_state"][rows])
+    heard_ns = integrity.arrived_ns[rows]
+    newest = np.searchsorted(heard_ns, arrived_ns, side="right") - 1
+    fresh = (newest >= 0) & (arrived_ns - heard_ns[newest] <= _FLAGS_NS)
+    return np.where(fresh, states[newest], 0)
 
 
 def _position_variance(table: Table) -> Array:
@@ -272,9 +292,17 @@ def _own_estimate(tables: Mapping[str, Table]) -> Stream | None:
     return recording.truth(position.t_ns, position.vector("x", "y", "z"), position.vector("vx", "vy", "vz"), q_nb)
 
 
-def _attitude(tables: Mapping[str, Table]) -> list[Stream]:
-    table = tables.get("ATTITUDE")
-    return [recording.attitude(table.t_ns, table.arrived_ns, _q_nb(table))] if table else []
+def _attitude(tables: Mapping[str, Table], autopilot: int, notes: list[str]) -> list[Stream]:
+    """None with a dead compass; ArduPilot's from its first origin on, if that was sent: before, its heading is magnetic."""
+    table, origins = tables.get("ATTITUDE"), tables.get("GPS_GLOBAL_ORIGIN")
+    if table is None:
+        return []
+    if not _field(tables, autopilot):
+        notes.append("the autopilot's attitude is left out: its magnetometer reads zero, and the heading may be anything")
+        return []
+    since_ns = origins.arrived_ns.min() if origins and autopilot == _ARDUPILOT else 0
+    q_nb = np.where((table.arrived_ns >= since_ns)[:, np.newaxis], _q_nb(table), np.nan)
+    return [recording.attitude(table.t_ns, table.arrived_ns, q_nb)]
 
 
 def _q_nb(attitude: Table) -> Array:

@@ -38,7 +38,7 @@ _WANTED = (
     "vehicle_air_data", "vehicle_magnetometer", "sensor_mag",
     "vehicle_gps_position", "sensor_gps",
     "airspeed_validated", "airspeed", "distance_sensor",
-    "vehicle_attitude", "vehicle_local_position", "vehicle_visual_odometry", "vehicle_mocap_odometry",
+    "vehicle_attitude", "estimator_status", "vehicle_local_position", "vehicle_visual_odometry", "vehicle_mocap_odometry",
     "vehicle_optical_flow",
     "vehicle_attitude_groundtruth", "vehicle_local_position_groundtruth",
 )  # fmt: skip
@@ -49,6 +49,7 @@ _FLOW = (
 _ATTITUDE_GAP_NS = 200_000_000
 _SLOWEST_IMU_NS = 50_000_000  # of another IMU; PX4 logs them at 2 Hz by default
 _FIX_3D = 3  # fix_type
+_YAW_ALIGNED = np.uint64(1)  # bit of estimator_status.control_mode_flags
 _SYNTHETIC = 4  # AirspeedValidated.airspeed_source: no sensor; below 1: ground speed less wind, none
 _DOWNWARDS = 25  # ROTATION_DOWNWARD_FACING
 _FAR_US = np.uint64(4 * 10**15)  # beyond any date; a damaged stamp may be
@@ -72,7 +73,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     imu = _imu(source, topics, clock, notes)
     aids = [*(_gnss(source, receiver, clock, notes) if receiver else []), *_baro(topics, clock), *_field(topics, clock)]
     aids += [*_airspeed(topics, clock), *_range(log.data_list, clock)]
-    aids += [*_attitude(topics, clock), *_odometry(topics, clock, notes)]
+    aids += [*_attitude(topics, clock, notes), *_odometry(topics, clock, notes)]
     aids += _flow(topics, clock, [imu, *aids], notes)
     others = _other_imus(log.data_list, clock, notes)
     truth, origin = _truth(topics, receiver, clock, notes)
@@ -325,11 +326,20 @@ def _range(data: Sequence[Any], clock_us: int) -> list[Stream]:
     return [recording.sensor("range", *_times(topic, clock_us), np.where(is_within, z_m, np.inf)[:, np.newaxis])]
 
 
-def _attitude(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
-    topic = topics.get("vehicle_attitude")
+def _attitude(topics: Mapping[str, Topic], clock_us: int, notes: list[str]) -> list[Stream]:
+    """Where EKF2's yaw is aligned: before, and without a compass, its heading may be anything."""
+    topic, status = topics.get("vehicle_attitude"), topics.get("estimator_status")
     if topic is None:
         return []
-    return [recording.attitude(*_times(topic, clock_us), _vector(topic, "q[0]", "q[1]", "q[2]", "q[3]"))]
+    q_nb = _vector(topic, "q[0]", "q[1]", "q[2]", "q[3]")
+    if status is not None and "control_mode_flags" in status:
+        newest = np.searchsorted(status["timestamp"], topic["timestamp"], side="right") - 1
+        aligned = (status["control_mode_flags"].astype(np.uint64) >> _YAW_ALIGNED & 1)[np.maximum(newest, 0)] > 0
+        if not aligned.any():
+            notes.append("PX4's attitude is left out: its yaw is never aligned (no compass?), and the heading may be anything")
+            return []
+        q_nb = np.where(aligned[:, np.newaxis], q_nb, np.nan)
+    return [recording.attitude(*_times(topic, clock_us), q_nb)]
 
 
 def _simulated(topics: Mapping[str, Topic]) -> bool:

@@ -16,7 +16,7 @@ _HEAD: Final = 4  # bytes of encapsulation
 _SUSPECTED, _DETECTED = 2, 3  # of jamming and spoofing
 _STATE_BITS: Final = 12  # of NavSatStatus.service, where ReceiverState begins
 _FRESH_NS: Final = 5_000_000_000  # a driver that sends no flags any more reports nothing
-_FLAGS: Final = {  # name in the driver's namespace -> its type
+FLAGS: Final = {  # name in the driver's namespace -> its type
     "monhw": "ublox_msgs/msg/MonHW",
     "navstatus": "ublox_msgs/msg/NavSTATUS",
     "ubx_sec_sig": "ublox_ubx_msgs/msg/UBXSecSig",
@@ -39,9 +39,9 @@ def reported(jamming: int, spoofing: int) -> ReceiverState:
 def state_of(schema: str, data: bytes) -> ReceiverState:
     """What a message of CDR bytes reports; too short: nothing."""
     try:
-        if schema == _FLAGS["monhw"]:
+        if schema == FLAGS["monhw"]:
             return reported(data[_HEAD + 22] >> 2 & 3, 0)
-        if schema == _FLAGS["navstatus"]:
+        if schema == FLAGS["navstatus"]:
             return reported(0, data[_HEAD + 7] >> 3 & 3)
         at = _after_header(data)  # version, detection enabled, state, detection enabled, state
         return reported(data[at + 2], data[at + 4])
@@ -55,9 +55,9 @@ class ReceiverFlags:
     def __init__(self, fixes: Sequence[str]) -> None:
         namespaces = {topic: topic.rpartition("/")[0] for topic in fixes}
         self.topics: Mapping[str, str] = {
-            f"{where}/{name}": schema for where in namespaces.values() for name, schema in _FLAGS.items()
+            f"{where}/{name}": schema for where in namespaces.values() for name, schema in FLAGS.items()
         }
-        self._of_fix = {topic: [f"{where}/{name}" for name in _FLAGS] for topic, where in namespaces.items()}
+        self._of_fix = {topic: [f"{where}/{name}" for name in FLAGS] for topic, where in namespaces.items()}
         self._states: dict[str, tuple[int, ReceiverState]] = {}
 
     def hear(self, topic: str, data: bytes, now_ns: int) -> None:

@@ -88,7 +88,8 @@ class Inputs:
         self._asked: dict[int, int] = {}
         self._began_ns: int | None = None  # when an IMU was first asked for
         self.imu_kind = "none"
-        self._has_compass = True  # until its field is zero
+        self._field_ns = _NEVER if imus else None  # of its last magnetic field; None: its IMU is not read
+        self._is_blind = False  # an attitude was not taken for want of a field
 
     def ask_again(self) -> None:
         """Repeat all requests."""
@@ -116,8 +117,8 @@ class Inputs:
     def measured(self, message: Any, t_ns: int, now_ns: int, autopilot: int | None) -> Iterator[Input]:
         """Measurements of a message valid at t_ns."""
         number, kind = message.get_msgId(), message.get_type()
-        if kind in _IMUS and self._attitude_topic and (field := codec.has_field(message)) is not None:
-            self._has_compass = field
+        if kind in _IMUS and (has_field := codec.has_field(message)) is not None and self._field_ns is not None:
+            self._field_ns = now_ns if has_field else _NEVER
         if kind in _IMUS and self._imu_topic and self._is_best(kind, now_ns, autopilot):
             sample = codec.imu(message, t_ns, self._imu_topic)
             if sample is not None:
@@ -127,7 +128,7 @@ class Inputs:
             yield sample
         if number in self._carriers and (kind not in _IMUS or self._is_best(kind, now_ns, autopilot)):
             yield from self._sensors(message, kind, t_ns, autopilot)
-        if number == _ATTITUDE and self._attitude_topic and self._is_true_heading(autopilot):
+        if number == _ATTITUDE and self._attitude_topic and self._is_true_heading(now_ns, autopilot):
             yield codec.attitude(message, t_ns, self._attitude_sigma_deg, self._attitude_topic)
         if number in self._positions:
             yield codec.gnss_fix(message, t_ns, self._geoid_m, self._positions[number], self._state(number, now_ns))
@@ -172,7 +173,7 @@ class Inputs:
     def report(self) -> dict[str, Any]:
         """For the status."""
         coarse = " (coarse: steps of 0.01 m/s^2, 0.001 rad/s)" if self.imu_kind in codec.COARSE else ""
-        heading = {} if self._has_compass else {"attitude": "not taken: the autopilot's magnetometer reads zero"}
+        heading = {"attitude": "not taken: the autopilot's magnetometer reads zero or nothing"} if self._is_blind else {}
         return {"imu": self.imu_kind + coarse} | heading
 
     def _missing(self, now_ns: int, autopilot: int | None) -> dict[int, int]:
@@ -203,9 +204,10 @@ class Inputs:
         if self._denied and now_ns - asked_ns > _MISSING_NS and self._heard.get(_IMU, _NEVER) < asked_ns:
             self._imu_us, self._denied = next((us for us in _SLOWER_US if us > self._imu_us), self._imu_us), False
 
-    def _is_true_heading(self, autopilot: int | None) -> bool:
-        """None with a dead compass; ArduPilot's is magnetic until EKF3 has an origin."""
-        return self._has_compass and (autopilot != codec.ARDUPILOT or _ORIGIN in self._heard)
+    def _is_true_heading(self, now_ns: int, autopilot: int | None) -> bool:
+        """None with a dead compass, or without one; ArduPilot's is magnetic until EKF3 has an origin."""
+        self._is_blind = self._field_ns is not None and now_ns - self._field_ns > _MISSING_NS
+        return not self._is_blind and (autopilot != codec.ARDUPILOT or _ORIGIN in self._heard)
 
     def _is_gone(self, number: int, now_ns: int) -> bool:
         since_ns = max(self._heard.get(number, _NEVER), self._began_ns or _NEVER)

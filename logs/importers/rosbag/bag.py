@@ -19,6 +19,7 @@ from rosbags.interfaces import Connection
 
 from logs.importers.rosbag import unindexed
 from logs.store.reader import LogError, LogReader, Record
+from logs.wire.receiver import FLAGS
 from logs.wire.schemas import STORE, is_known
 from models.untrusted.file import opened
 
@@ -28,6 +29,11 @@ _HEAD_BYTES: Final = 16
 _ACTIVE: Final = ".active"  # NAME.bag.active: of a recorder that was killed
 _COMPRESSED: Final = re.compile(r"^\s*compression_mode:\s*[\"']?(?:file|message)", re.MULTILINE | re.IGNORECASE)
 _FAILURES: Final = (rosbag1.ReaderError, rosbag2.ReaderError, apsw.Error, OSError, ValueError, KeyError)
+
+
+_IN_CDR: Final = (
+    b"\x00\x01\x00\x00"  # and the bytes of ROS 1, for types without strings whose fields lie on multiples of their size
+)
 
 
 class Topic(NamedTuple):
@@ -76,7 +82,7 @@ class Bag:
         with LogReader(path) as reader:
             for record in reader:
                 self._share = reader.fraction
-                if self._add(record.topic, record.schema, readable=is_known(record.schema)):
+                if self._add(record.topic, record.schema, readable=_is_read(record.schema)):
                     yield record
             for name, encoding in reader.foreign.items():
                 self._add(name, encoding, readable=False)
@@ -96,7 +102,7 @@ class Bag:
             raise _unreadable(path, error) from None
         passed = 0
         try:
-            connections = [c for c in reader.connections if self._add(c.topic, c.msgtype, readable=is_known(c.msgtype))]
+            connections = [c for c in reader.connections if self._add(c.topic, c.msgtype, readable=_is_read(c.msgtype))]
             total = max(1, reader.message_count)
             if not connections:
                 return
@@ -123,7 +129,7 @@ class Bag:
             return
         try:
             _bound(reader, path)
-            known = [c for c in reader.connections if self._add(c.topic, c.msgtype, readable=is_known(c.msgtype))]
+            known = [c for c in reader.connections if self._add(c.topic, c.msgtype, readable=_is_read(c.msgtype))]
             if known:
                 yield from self._converted(path, _of(reader, known))
         except _FAILURES as error:
@@ -136,16 +142,20 @@ class Bag:
         broken: set[str] = set()
         for topic, schema, t_ns, raw, share in messages:
             self._share = share
-            if topic in broken or not self._add(topic, schema, readable=is_known(schema)):
+            if topic in broken or not self._add(topic, schema, readable=_is_read(schema)):
                 continue
             try:
-                data = bytes(STORE.ros1_to_cdr(raw, schema))
+                data = bytes(STORE.ros1_to_cdr(raw, schema)) if is_known(schema) else _IN_CDR + raw
             except Exception:  # whatever bytes from outside trip over
                 broken.add(topic)
                 self.topics[topic] = Topic(topic, schema, readable=False)
                 self.notes.append(f"{path.name}: {topic} is no {schema} as ROS 2 has it; left out")
                 continue
             yield Record(topic, schema, t_ns, data)
+
+
+def _is_read(schema: str) -> bool:
+    return is_known(schema) or schema in FLAGS.values()
 
 
 def _bound(reader: rosbag1.Reader, path: Path) -> None:

@@ -12,6 +12,7 @@ from logs.importers.rosbag.survey import TWIST_STAMPED, Survey
 from logs.importers.summary import TopicRow
 from logs.store.reader import LogError
 from logs.wire import schemas
+from logs.wire.receiver import FLAGS
 from models.messages import Array
 
 _FUSED: Final = re.compile(r"filter|fused|global_position/global|estimat|ekf|/landfix/")  # NavSatFix that is no receiver's
@@ -161,5 +162,7 @@ def _other(topic: str, s: Survey) -> tuple[str, str]:
             if _LEFT.search(topic.lower()):
                 return "left_image", ""
             return ("right_image", "") if _RIGHT.search(topic.lower()) else ("", "not copied: neither left nor right by its name")
+        case schema if schema in FLAGS.values():
+            return "", "its flags are in the fixes of its namespace"
         case _:
             return "", "not copied"

@@ -17,6 +17,8 @@ from logs.store.reader import LogError, Record, check_output
 from logs.store.recorder import Recorder
 from logs.wire import schemas
 from logs.wire.codec import Decoder, ImuMounting, Topics
+from logs.wire.receiver import ReceiverFlags
+from models.messages import GnssFix, ReceiverState
 
 _CLOCKS_NS: Final = 1_000_000_000  # stamps that differ from those of the IMU by more are of another clock
 _NO_COVARIANCE: Final = bytes(8 * 36)  # what a TwistStamped lacks to be a TwistWithCovarianceStamped
@@ -38,7 +40,8 @@ def convert(source: Path, out: Path, progress: Callable[[float], None] | None = 
         raise LogError("; ".join([f"{source}: {error}", *bag.notes])) from None
     notes = [*bag.notes, *choice.notes]
     shift_ns, restamp = _clocks(choice, found, notes)
-    wanted = frozenset(row.topic for row in choice.rows if row.copied)
+    flags, flagged = ReceiverFlags(choice.inputs.get("gnss", ())), 0
+    wanted = frozenset(row.topic for row in choice.rows if row.copied) | flags.topics.keys()
     counts: dict[str, int] = {}
     mounting = ImuMounting("frd" if choice.axes == "frd" else "flu", *choice.mounting_deg)
     decoder, watch = Decoder(Topics.of(choice.inputs), mounting), Watch()
@@ -46,12 +49,19 @@ def convert(source: Path, out: Path, progress: Callable[[float], None] | None = 
     with Recorder(out, metadata={"imported_from": source.name, "import_kind": "rosbag"}) as recorder:
         for record in _reported(bag, wanted, lambda f: report(_READING + (1.0 - _READING) * f)):
             end_ns = record.log_time_ns + shift_ns
+            if record.topic in flags.topics:
+                flags.hear(record.topic, record.data, end_ns)
+                continue
             start_ns = start_ns or end_ns
             topic, schema, data = _message(record, end_ns if record.topic in restamp else None)
+            data = flags.marked(topic, data, end_ns)
             recorder.write(topic, schema, data, end_ns)
             if (message := decoder.decode(topic, schema, data, end_ns)) is not None:
                 watch.add(message)
+                flagged += isinstance(message, GnssFix) and message.state is not ReceiverState.UNKNOWN
             counts[record.topic] = counts.get(record.topic, 0) + 1
+    if flagged:
+        notes.append(f"the receiver reports jamming or spoofing in {flagged} fixes")
     config = out.with_suffix(".toml")
     try:
         config.write_text(Settings().text("rosbag", source, choice.inputs, choice.offered, choice.axes, choice.mounting_deg))

@@ -170,7 +170,7 @@ class Flight:
         began, autopilot = time.monotonic_ns(), self.autopilot
         t_ns = began + self._daemon._clock.anchor_ns
         boot_ns = t_ns - (began - autopilot.booted_ns)
-        sample, rest = imu(t_ns, self._rng), (0, 0, 0, 0, 0, 0, 0, 63)
+        sample, rest = imu(t_ns, self._rng), (0.2, 0, 0.4, 0, 0, 0, 0, 511)
         autopilot.say(mavlink.MAVLink_highres_imu_message((t_ns - boot_ns) // 1000, *sample.accel_b, *sample.gyro_b, *rest))
         if self.samples % 20 == 0:
             autopilot.heartbeat()

@@ -147,9 +147,23 @@ FORMATS = {  # name: type, format, columns
     "RFND": (139, "QBCBB", "TimeUS,Instance,Dist,Stat,Orient"),
     "PARM": (134, "QNff", "TimeUS,Name,Value,Default"),
     "SIM": (150, "QccCfLLffff", "TimeUS,Roll,Pitch,Yaw,Alt,Lat,Lng,Q1,Q2,Q3,Q4"),
+    "MAG": (152, "QBhhh", "TimeUS,I,MagX,MagY,MagZ"),
     "SIM2": (151, "Qfff", "TimeUS,VN,VE,VD"),
 }
-STRUCT = {"Q": "Q", "B": "B", "b": "b", "f": "f", "I": "I", "H": "H", "c": "h", "C": "H", "L": "i", "e": "i", "N": "16s"}
+STRUCT = {
+    "Q": "Q",
+    "B": "B",
+    "b": "b",
+    "h": "h",
+    "f": "f",
+    "I": "I",
+    "H": "H",
+    "c": "h",
+    "C": "H",
+    "L": "i",
+    "e": "i",
+    "N": "16s",
+}
 
 
 def row(name: str, *values: float | bytes) -> bytes:
@@ -355,6 +369,15 @@ def test_a_heading_of_magnetic_north_is_not_taken(newer: Path) -> None:
     newer.write_bytes(data.replace(first, row("ORGN", 1_400_000, 0, 473977400, 85455900, 48700)))
     after = next(m.t_ns for m in dataflash.read(newer) if isinstance(m, AttitudePrior))
     assert after - before == 1_545_000_000 - 1_130_000_000
+
+
+@pytest.mark.parametrize("dead", [False, True], ids=["not used", "reads zero"])
+def test_the_heading_of_an_autopilot_without_compass_is_not_taken_and_named(newer: Path, dead: bool) -> None:
+    rest = row("MAG", 1_000_000, 0, 0, 0, 0) if dead else row("PARM", 900_000, b"COMPASS_USE", 0.0, 1.0)
+    newer.write_bytes(newer.read_bytes() + rest)
+    recording = dataflash.read(newer)
+    assert not any(isinstance(m, AttitudePrior) for m in recording)
+    assert any("the heading may be anything" in note for note in recording.notes)
 
 
 def test_a_log_without_gnss_has_no_date(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from pymavlink import mavutil
-from pymavlink.dialects.v20 import ardupilotmega
+from pymavlink.dialects.v20 import ardupilotmega, development
 from pymavlink.dialects.v20 import common as mavlink2
 
 from estimator.config import parse
@@ -17,7 +17,7 @@ from logs.importers import tlog
 from logs.importers.recording import ImportOptions, Recording, Truth
 from logs.store.reader import LogError
 from models import so3
-from models.messages import AttitudePrior, GnssFix, GnssVelocity, ImuSample, OdometryDelta, OdometryPose, Reading
+from models.messages import AttitudePrior, GnssFix, GnssVelocity, ImuSample, OdometryDelta, OdometryPose, Reading, ReceiverState
 
 
 @pytest.fixture(scope="module")
@@ -395,6 +395,37 @@ def test_raw_counts_of_other_autopilots_are_no_imu(tmp_path: Path) -> None:
     (sample,) = tlog.read(ground.write(tmp_path))
     assert isinstance(sample, ImuSample)
     assert sample.accel_b == pytest.approx((0.0, 0.0, -9.80665))
+
+
+def test_the_flags_of_a_receiver_are_in_its_fixes_for_three_seconds(tmp_path: Path) -> None:
+    ground, boot_us = Ground(), 5_000_000
+    for k in range(12):
+        ground.imu(500_000 * k, boot_us + 500_000 * k)
+        if k == 2:  # of a second receiver, which sends no fixes, and of the first
+            for number, jamming, spoofing in ((1, 1, 3), (0, 3, 1)):
+                flags = development.MAVLink_gnss_integrity_message(number, 0, 0, jamming, spoofing, 0, 65535, 65535, *[255] * 4)
+                ground.hear(500_000 * k, flags)
+        ground.hear(500_000 * k + 1000, fix(boot_us + 500_000 * k))
+    recording = tlog.read(ground.write(tmp_path))
+    states = [m.state for m in recording if isinstance(m, GnssFix)]
+    assert states == [0] * 2 + [ReceiverState.JAMMED] * 6 + [0] * 4
+    assert "/gnss: the receiver reports jamming or spoofing in 6 of 12 fixes" in recording.notes
+
+
+@pytest.mark.parametrize(("field", "origin_s", "count"), [(0.0, 0.0, 0), (0.3, 0.0, 10), (0.3, 2.0, 6)])
+def test_a_heading_that_may_be_anything_is_not_taken(tmp_path: Path, field: float, origin_s: float, count: int) -> None:
+    """A dead compass, or ArduPilot before its origin: 1 s later it would be taken."""
+    ground = Ground(autopilot=3)
+    for k in range(10):
+        at, boot_ms = 500_000 * k, 5000 + 500 * k
+        numbers = 0.1, 0.2, -9.8, 0.01, 0.02, 0.03, field, 0.0, field, 950.0, 0.0, 0.0, 20.0
+        ground.hear(at, mavlink2.MAVLink_highres_imu_message(1000 * boot_ms, *numbers, 511))
+        if k == 2.0 * origin_s:
+            ground.hear(at, mavlink2.MAVLink_gps_global_origin_message(473_977_000, 85_456_000, 488_000))
+        ground.hear(at, mavlink2.MAVLink_attitude_message(boot_ms, 0.1, -0.2, 2.5, 0, 0, 0))
+    recording = tlog.read(ground.write(tmp_path))
+    assert sum(isinstance(m, AttitudePrior) for m in recording) == count
+    assert any("the heading may be anything" in note for note in recording.notes) == (count == 0)
 
 
 def test_another_imu_on_request(flown: Path, rows: dict[str, list[Any]]) -> None:

@@ -313,6 +313,16 @@ def test_of_a_reference_whose_origin_moved_the_last_part_is_taken(tmp_path: Path
     assert [m.q_nb_wxyz for m in truths] == [(1.0, 0.0, 0.0, 0.0)] * 4
 
 
+@pytest.mark.parametrize(("aligned", "count"), [((0, 0), 0), ((0, 1), 4), ((1, 1), 5)])
+def test_a_heading_that_is_not_aligned_is_not_taken(tmp_path: Path, aligned: tuple[int, int], count: int) -> None:
+    attitudes = [{"timestamp": 500_000 * k, "q[0]": 1.0, "q[1]": 0.0, "q[2]": 0.0, "q[3]": 0.0} for k in range(5)]
+    states = [{"timestamp": 100_000 + 300_000 * k, "control_mode_flags": 1.0 + 2.0 * is_so} for k, is_so in enumerate(aligned)]
+    path = written(tmp_path, sensor_gyro=GYROS, sensor_accel=ACCELS, vehicle_attitude=attitudes, estimator_status=states)
+    recording = ulog.read(path)
+    assert sum(isinstance(m, AttitudePrior) for m in recording) == count
+    assert any("never aligned" in note for note in recording.notes) == (count == 0)
+
+
 def test_an_autopilot_that_never_knew_its_position_is_no_reference(tmp_path: Path) -> None:
     place = {"xy_valid": 0.0, "z_valid": 1.0, "ref_lat": math.nan, "ref_lon": math.nan, "ref_alt": math.nan, "ref_timestamp": 0}
     positions = [

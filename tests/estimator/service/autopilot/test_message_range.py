@@ -198,10 +198,9 @@ class _Rig:
         return (self.clock.now_ns() - self.booted_ns) // 1000
 
     def imu(self) -> bytes:
-        stamp = self.boot_us()
-        return bytes(
-            mavlink.MAVLink_highres_imu_message(stamp, 0.1, 0.2, -9.8, 0.01, 0.02, 0.03, *(0.0,) * 7, 63).pack(self.sender)
-        )
+        motion, field = (0.1, 0.2, -9.8, 0.01, 0.02, 0.03), (0.2, 0.0, 0.4)
+        message = mavlink.MAVLink_highres_imu_message(self.boot_us(), *motion, *field, *(0.0,) * 4, 511)
+        return bytes(message.pack(self.sender))
 
 
 @pytest.fixture(scope="module")
@@ -266,6 +265,7 @@ def test_an_attitude_that_is_none_is_refused_with_its_numbers() -> None:
     with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as there:
         there.bind(("127.0.0.1", 0))
         rig = _Rig(there)
+        rig.put(rig.imu())
         for k, angle in enumerate((1e38, math.nan, math.inf, 7.0)):
             got = rig.put(
                 bytes(mavlink.MAVLink_attitude_message(rig.boot_us() // 1000, 0.0, angle, 0.0, 0, 0, 0).pack(rig.sender))

@@ -223,6 +223,7 @@ def test_an_attitude_is_of_the_body_in_ned_and_as_accurate_as_configured() -> No
     message = _over_the_wire(mavlink.MAVLink_attitude_message(7000, 0.1, -0.2, 2.5, 0, 0, 0))
     config, topics = MavlinkConfig(attitude_sigma_deg=(2.0, 10.0)), Topics(attitude=("/attitude",))
     inputs = Inputs(config, topics, 0.0)
+    list(inputs.measured(_field((0.2, 0.0, 0.4)), T0, T0, codec.PX4))
     (read,) = inputs.measured(message, T0, T0, codec.PX4)
     assert isinstance(read, AttitudePrior)
     np.testing.assert_allclose(so3.to_euler(np.array(read.q_nb_wxyz)), [0.1, -0.2, 2.5], rtol=1e-6)
@@ -252,6 +253,7 @@ def test_an_imu_that_is_denied_is_asked_for_less_often() -> None:
 def test_ardupilots_heading_is_of_magnetic_north_until_it_has_an_origin() -> None:
     message = _over_the_wire(mavlink.MAVLink_attitude_message(7000, 0.1, -0.2, 2.5, 0, 0, 0))
     inputs = Inputs(MavlinkConfig(odometry=False), Topics(attitude=("/attitude",)), 0.0)
+    list(inputs.measured(_field((0.2, 0.0, 0.4)), T0, T0, codec.ARDUPILOT))
     assert not list(inputs.measured(message, T0, T0, codec.ARDUPILOT))
     assert mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN in dict(inputs.requests(T0, codec.ARDUPILOT))
     inputs.hear(_over_the_wire(mavlink.MAVLink_gps_global_origin_message(473_977_000, 85_456_000, 488_000)), T0)
@@ -260,22 +262,29 @@ def test_ardupilots_heading_is_of_magnetic_north_until_it_has_an_origin() -> Non
     assert not list(inputs.measured(message, T0, T0, codec.ARDUPILOT))
 
 
-def test_the_heading_of_an_autopilot_with_a_dead_compass_is_not_taken_and_named() -> None:
+def _field(field_gauss: tuple[float, float, float], updated: int = 0x1FF) -> Any:
+    numbers = 0.0, 0.0, -9.8, 0.0, 0.0, 0.0, *field_gauss, 1013.0, 0.0, 0.0, 20.0
+    return _over_the_wire(mavlink.MAVLink_highres_imu_message(7_000_000, *numbers, updated))
+
+
+def test_the_heading_of_an_autopilot_with_a_dead_compass_or_none_is_not_taken_and_named() -> None:
     attitude = _over_the_wire(mavlink.MAVLink_attitude_message(7000, 0.1, -0.2, 2.5, 0, 0, 0))
     inputs = Inputs(MavlinkConfig(), Topics(attitude=("/attitude",)), 0.0)
 
-    def after(field: tuple[float, float, float], updated: int) -> int:
-        numbers = 0.0, 0.0, -9.8, 0.0, 0.0, 0.0, *field, 1013.0, 0.0, 0.0, 20.0
-        message = _over_the_wire(mavlink.MAVLink_highres_imu_message(7_000_000, *numbers, updated))
-        list(inputs.measured(message, T0, T0, codec.PX4))
-        return len(list(inputs.measured(attitude, T0, T0, codec.PX4)))
+    def after(message: Any, t_ns: int = T0) -> int:
+        list(inputs.measured(message, t_ns, t_ns, codec.PX4))
+        return len(list(inputs.measured(attitude, t_ns, t_ns, codec.PX4)))
 
-    assert after((0.2, 0.0, 0.4), 0x1FF) == 1
-    assert after((0.0, 0.0, 0.0), 0x3F) == 1  # nothing is said of the field
-    assert after((0.0, 0.0, 0.0), 0x1FF) == 0
-    assert inputs.report()["attitude"] == "not taken: the autopilot's magnetometer reads zero"
-    assert after((0.2, 0.0, 0.4), 0x1FF) == 1
+    assert after(_field((0.0, 0.0, 0.0), 0x3F)) == 0  # it has never sent a field
+    assert after(_field((0.2, 0.0, 0.4))) == 1
+    assert after(_field((0.0, 0.0, 0.0), 0x3F), T0 + 10**9) == 1  # between two readings
     assert "attitude" not in inputs.report()
+    assert after(_field((0.0, 0.0, 0.0))) == 0
+    assert inputs.report()["attitude"] == "not taken: the autopilot's magnetometer reads zero or nothing"
+    assert after(_field((0.2, 0.0, 0.4))) == 1
+    assert after(_field((0.0, 0.0, 0.0), 0x3F), T0 + 4 * 10**9) == 0
+    elsewhere = Inputs(MavlinkConfig(imu=False), Topics(attitude=("/attitude",)), 0.0)  # nothing is known of the compass
+    assert len(list(elsewhere.measured(attitude, T0, T0, codec.PX4))) == 1
 
 
 def test_an_attitude_is_asked_for_unless_it_has_no_topic() -> None:

@@ -8,10 +8,11 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
 
 from logs.store.reader import Record
 from logs.wire.codec import encode_input
-from logs.wire.schemas import STORE
+from logs.wire.schemas import STORE, is_known
 from models.sim.scenario import simulate
 from models.sim.scenario_file import loads
 
@@ -32,19 +33,22 @@ def changed(records: Iterable[Record], topic: str, change: Callable[[Record], Re
     return [change(r) if r.topic == topic else r for r in records]
 
 
-def ros2(path: Path, records: Iterable[Record], storage: StoragePlugin) -> Path:
-    """A folder with metadata.yaml and one file."""
+def ros2(path: Path, records: Iterable[Record], storage: StoragePlugin, foreign: Typestore = STORE) -> Path:
+    """A folder with metadata.yaml and one file; foreign: knows types that STORE does not."""
     with Writer2(path, version=9, storage_plugin=storage) as writer:
         connections = {}
         for r in records:
             if r.topic not in connections:
-                connections[r.topic] = writer.add_connection(r.topic, r.schema, typestore=STORE)
+                store = STORE if is_known(r.schema) else foreign
+                connections[r.topic] = writer.add_connection(r.topic, r.schema, typestore=store)
             writer.write(connections[r.topic], r.log_time_ns, r.data)
     return path
 
 
-def ros1(path: Path, records: Iterable[Record], compression: Writer1.CompressionFormat | None = None) -> Path:
-    """A file of ROS 1."""
+def ros1(
+    path: Path, records: Iterable[Record], compression: Writer1.CompressionFormat | None = None, foreign: Typestore = ROS1
+) -> Path:
+    """A file of ROS 1; foreign: as of ros2."""
     writer = Writer1(path)
     if compression:
         writer.set_compression(compression)
@@ -52,8 +56,10 @@ def ros1(path: Path, records: Iterable[Record], compression: Writer1.Compression
         connections = {}
         for r in records:
             if r.topic not in connections:
-                connections[r.topic] = writer.add_connection(r.topic, r.schema, typestore=ROS1)
-            writer.write(connections[r.topic], r.log_time_ns, STORE.cdr_to_ros1(r.data, r.schema))
+                store = ROS1 if is_known(r.schema) else foreign
+                connections[r.topic] = writer.add_connection(r.topic, r.schema, typestore=store)
+            raw = (STORE if is_known(r.schema) else foreign).cdr_to_ros1(r.data, r.schema)
+            writer.write(connections[r.topic], r.log_time_ns, raw)
     return path
 
 

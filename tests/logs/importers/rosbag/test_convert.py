@@ -1,5 +1,6 @@
 """Bags of each storage give the log that the same messages give; what real bags get wrong is mended or named."""
 
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from typer.testing import CliRunner
 
 from estimator.cli import app
@@ -18,10 +20,13 @@ from logs.importers.summary import ImportSummary
 from logs.store.reader import LogError, LogReader, Record
 from logs.store.recorder import Recorder
 from logs.wire import cdr_fast, schemas
+from logs.wire.codec import Decoder, Topics
 from logs.wire.schemas import STORE
+from models.messages import GnssFix, ReceiverState
 from tests.logs.importers.rosbag.bags import changed, flight, ros1, ros2, without_index
 
 IMU, FIX, VELOCITY = "/mavros/imu/data_raw", "/gps/fix", "/gps/velocity"
+NAV_STATUS = "ublox_msgs/msg/NavSTATUS"
 
 
 @pytest.fixture(scope="module")
@@ -241,6 +246,32 @@ def test_what_is_no_bag_or_has_no_imu_is_refused_in_one_line(records: list[Recor
         assert (said.exit_code, said.stderr.count("\n")) == (1, 1)
         assert words in said.stderr
     assert not (tmp_path / "a.mcap").exists()
+
+
+@pytest.mark.parametrize("kind", ["ros1", "ros2"])
+def test_the_flags_of_a_u_blox_driver_are_in_the_fixes_of_its_namespace(records: list[Record], tmp_path: Path, kind: str) -> None:
+    """NAV-STATUS of ublox_msgs, once a second for ten seconds: spoofed (flags2, bits 3 and 4)."""
+    fields = "uint32 i_tow\nuint8 gps_fix\nuint8 flags\nuint8 fix_stat\nuint8 flags2\nuint32 ttff\nuint32 msss\n"
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(fields, NAV_STATUS))
+    begin_ns = records[0].log_time_ns
+    status = struct.pack("<I4BII", 5000, 3, 0xDD, 0, 3 << 3, 1, 2)
+    flags = [Record("/gps/navstatus", NAV_STATUS, begin_ns + k * 10**9, b"\0\1\0\0" + status) for k in range(5, 15)]
+    everything = sorted([*records, *flags], key=lambda r: r.log_time_ns)
+    bag = (
+        ros1(tmp_path / "flight.bag", everything, foreign=store)
+        if kind == "ros1"
+        else ros2(tmp_path / "bag", everything, StoragePlugin.SQLITE3, foreign=store)
+    )
+    summary, log = imported(bag, tmp_path / "flight.mcap")
+    assert remark(summary, "/gps/navstatus") == "its flags are in the fixes of its namespace"
+    decoder = Decoder(Topics.of({"gnss": FIX}))
+    fixes = [decoder.decode(r.topic, r.schema, r.data, r.log_time_ns) for r in log if r.topic == FIX]
+    spoofed = [(m.arrived_ns - begin_ns) * 1e-9 for m in fixes if isinstance(m, GnssFix) and m.state is ReceiverState.SPOOFED]
+    assert 5.0 <= spoofed[0] < 5.3
+    assert 18.7 < spoofed[-1] < 19.0  # five seconds after the last word
+    assert f"the receiver reports jamming or spoofing in {len(spoofed)} fixes" in summary.notes
+    assert {r.topic for r in log} == {IMU, FIX, VELOCITY}
 
 
 def test_the_command_prints_a_row_for_each_topic(records: list[Record], tmp_path: Path) -> None:
