@@ -19,7 +19,6 @@ from typing import Any
 import msgspec
 import numpy as np
 from mcap.reader import make_reader
-from mcap.writer import Writer
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -113,30 +112,6 @@ def make(task: Task, folder: Path, vision_sigma: tuple[float, float] = (0.1, 1.5
                 tool().make(request)
         except SystemExit:  # the tool says "too short"
             return None
-    return path
-
-
-def thinned(task_file: Path, every: int) -> Path:
-    """The task with every n-th IMU sample."""
-    path = task_file.with_stem(f"{task_file.stem}-every-{every}")
-    if path.with_suffix(".toml").exists():  # written last
-        return path
-    channels, count = dict[int, int](), 0
-    with task_file.open("rb") as source, path.open("wb") as target:
-        writer = Writer(target)
-        writer.start(profile="ros2")
-        for schema, channel, m in make_reader(source).iter_messages(log_time_order=False):
-            if channel.topic == "/imu":
-                count += 1
-                if (count - 1) % every:
-                    continue
-            if schema is not None and channel.id not in channels:
-                schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, schema_id)
-            writer.add_message(channels[channel.id], m.log_time, m.data, m.publish_time)
-        writer.finish()  # type: ignore[no-untyped-call]
-    for suffix in (".json", ".toml"):
-        path.with_suffix(suffix).write_text(task_file.with_suffix(suffix).read_text())
     return path
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.stress import conflicts, drawn
+from benchmarks.stress import drawn
 from benchmarks.stress import perturbations as perturb
 from benchmarks.stress.__main__ import jobs
 from benchmarks.stress.cell import Row, Score, landfix, naive, score
@@ -162,21 +162,6 @@ def test_a_run_fails_by_each_criterion() -> None:
     assert failures(row(Score(complete=False), good)) == ["incomplete"]
     alone = Row("GNSS slow error", 1.0, "sim/rotor", 0, worse, good, 0, {})  # the plain filter fuses no GNSS position
     assert failures(alone) == ["overconfident"]
-
-
-@pytest.mark.long
-def test_a_conflict_is_named_and_timed_from_its_onset(tmp_path: Path) -> None:
-    row = conflicts.run(("sim/rotor", "GNSS off from boot, fixes 0.5 Hz", 200.0, 0, str(tmp_path)))
-    assert row.named_s is not None
-    assert 2.0 <= row.named_s <= 10.0  # it takes a second fix
-    assert row.right_s is not None
-    assert row.named_s < row.right_s < 30.0
-    assert row.worst_m == pytest.approx(200.0, abs=2.0)
-    assert row.end_m < conflicts.RIGHT_M
-    assert "disagree" in row.says
-    (line,) = conflicts.table([row]).rows
-    assert line[:2] == ("GNSS off from boot, fixes 0.5 Hz", "200 m")
-    assert "1 of 1" in line
 
 
 @pytest.mark.long

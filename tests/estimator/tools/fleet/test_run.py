@@ -10,7 +10,6 @@ import msgspec
 import pytest
 from distributed import Client, LocalCluster
 
-from benchmarks.fleet.bucket import bucket
 from estimator.config import load
 from estimator.replay.replay import replay
 from estimator.tools.fleet import engine
@@ -21,6 +20,7 @@ from estimator.tools.fleet.rows import COSTS, of_evaluation
 from estimator.tools.fleet.run import run, settings_of
 from estimator.tools.fleet.store import flights
 from logs.evaluation.evaluate import evaluate
+from tests.estimator.tools.fleet.bucket import bucket
 from tests.estimator.tools.fleet.conftest import FLIGHTS
 
 

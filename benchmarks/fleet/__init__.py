@@ -1,1 +1,0 @@
-"""The fleet engine over a bucket of this machine: flight hours a core hour, bytes, memory, failures."""
