@@ -36,6 +36,10 @@ def advice(
         return f"no IMU sample in the log: name its topic in [inputs] imu (landfix doctor LOG lists them), or {log_faster}"
     if slow := too_slow(kind, imu_samples, duration_s):
         return slow
+    malformed = {topic: sum(reasons.values()) for topic, reasons in fixes.items() if set(reasons) == {Reason.MALFORMED}}
+    if not positions and malformed:
+        topic = max(malformed, key=malformed.__getitem__)
+        return f"no GNSS or pose fix in the log that can be read: {topic}, {malformed[topic]} of them ({details.get(topic, '')})"
     if not positions and kind in _LOG_FASTER:
         return f"no GNSS position in the log: fly with a receiver that the autopilot logs, and {log_faster}"
     if not positions:

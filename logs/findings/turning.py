@@ -117,7 +117,8 @@ def misturned(found: Relation, stream: Stream, name: str) -> Cause | None:
         what = f"its axes are turned by {found.angle_deg:.0f} degrees against those of {name}"
         rpy = f"roll {roll:.0f}, pitch {pitch:.0f}, yaw {yaw:.0f} deg"
         kind = "odometry" if stream.kind == ODOMETRY else "autopilot" if stream.kind == ATTITUDE else "source"
-        return Cause(f"{what} ({rpy})", since_s, f"let the {kind} give the pose of the body, forward-left-up, not of its camera")
+        body = f"let the {kind} give the pose of the body, forward-left-up, not of its camera"
+        return Cause(f"{what} ({rpy})", since_s, f"{body}; if it is that of the IMU's own axes, leave out [imu] mounting_rpy_deg")
     return Cause(
         f"it turns {found.scale:.3g} times as much as {name}", since_s, "see its units: rad, or the scale of the gyroscope"
     )

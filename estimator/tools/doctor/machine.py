@@ -121,7 +121,8 @@ def configuration(path: Path | None) -> tuple[list[Check], Config | None]:
     try:
         config = read(path) if path else Config()
     except (ConfigError, OSError) as error:
-        return [judge("config", str(error), fail=True, advice="landfix doctor --config --all lists all keys")], None
+        what = "lists all keys" if path is None or path.exists() else f"> {path} writes one"
+        return [judge("config", str(error), fail=True, advice=f"landfix doctor --config --all {what}")], None
     checks = [judge("config", str(path) if path else "defaults")]
     for name, (low, high) in TYPICAL_NOISE.items():
         value = getattr(config.imu, name)

@@ -77,6 +77,12 @@ def test_a_good_log_passes_the_check_of_the_alignment(flight: Path) -> None:
     assert check.state is State.OK
 
 
+def test_fixes_of_another_type_are_named_with_it() -> None:
+    of_type = {"/mocap": "is geometry_msgs/msg/PoseStamped, not geometry_msgs/msg/PoseWithCovarianceStamped"}
+    said = advice("rosbag", 2000, 0, 10.0, {"/mocap": {"malformed": 14}, "/baro": {"fused": 20}}, of_type, "waiting")
+    assert said.startswith("no GNSS or pose fix in the log that can be read: /mocap, 14 of them (is geometry_msgs")
+
+
 def test_refused_measurements_are_named_with_their_reason() -> None:
     said = advice("", 2000, 50, 10.0, {"/gnss": {"not_psd": 50}}, {"/gnss": "covariance is zero"}, "waiting for a position")
     assert said.startswith("every measurement of /gnss was refused, 50 of 50 as not_psd (covariance is zero)")
