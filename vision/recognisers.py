@@ -18,7 +18,7 @@ from models.prior import Prior
 from vision.ground.features import FeatureConfig, FeatureMap, NotRecognised, Recognised, recognise
 from vision.ground.image import GroundImage
 from vision.ground.learned import Learned, recognise_learned
-from vision.ground.peak import PeakConfig, edges_agree, fit_peak, fit_ridge, stands_alone
+from vision.ground.peak import PeakConfig, edges_agree, fit_peak, fit_ridge
 from vision.ground.registration import Registered, register
 from vision.ground.search import NotRegistered, Peak, RegistrationConfig
 from vision.identify.sightings import one_eyed
@@ -119,7 +119,7 @@ class Recognisers:
         peak = self._by_peak(known, rig, found, prior, laid)
         if peak.fix is not None:
             return peak
-        for other in self._by_points(known, rig, image, t_ns, prior):
+        for other in self._by_points(known, rig, image, prior, found.peak, t_ns):
             if other.fix is not None:
                 self._likely = None
                 return other
@@ -142,7 +142,7 @@ class Recognisers:
         fixed = _fixed(laid.report.t_ns, known.image.name, pose, (1, 1), evidence, peak.correlation)
         likely = isinstance(found, Registered) and found.is_likely(self._config.registration)
         blocks = likely and laid.report.outcome == "ambiguous"
-        if stands_alone(peak, config) or edges_agree(peak, config) or blocks:
+        if edges_agree(peak, config) or blocks:
             self._likely = None
             return fixed
         return replace(fixed, fix=None, report=msgspec.structs.replace(fixed.report, outcome="waiting", candidates=0))
@@ -199,11 +199,14 @@ class Recognisers:
         self._likely = now
         return len(now.shown_n) >= views
 
-    def _by_points(self, known: MapImage, rig: StereoRig, image: Image, t_ns: int, prior: Prior) -> Iterator[Result]:
+    def _by_points(
+        self, known: MapImage, rig: StereoRig, image: Image, prior: Prior, peak: Peak | None, t_ns: int
+    ) -> Iterator[Result]:
         yield _pointed(known.image.name, recognise(rig, image, prior, known.features, self._config.features), "", t_ns, prior)
         if known.learned is not None:
-            found = recognise_learned(known.learned, rig, image, prior, known.image)
-            yield _pointed(known.image.name, found, "learned ", t_ns, prior)
+            for near in ([] if peak is None else [(peak.p_n, peak.R_nb)]) + [None]:
+                found = recognise_learned(known.learned, rig, image, prior, known.image, near)
+                yield _pointed(known.image.name, found, "learned ", t_ns, prior)
 
 
 def _pointed(name: str, found: Recognised | NotRecognised, kind: str, t_ns: int, prior: Prior) -> Result:

@@ -98,13 +98,13 @@ def test_defects_do_not_end_the_flight(known: MapImage, monkeypatch: pytest.Monk
 def _unsure() -> RecogniserConfig:
     """One image is never enough, and features and the peak never are."""
     return RecogniserConfig(
-        registration=RegistrationConfig(sure=1e-300), features=FeatureConfig(least=10**6), peak=PeakConfig(deviations=1e9)
+        registration=RegistrationConfig(sure=1e-300), features=FeatureConfig(least=10**6), peak=PeakConfig(ratio=1e9)
     )
 
 
 def test_features_come_in_where_registration_is_uncertain(known: MapImage) -> None:
     p_n, prior, left, _ = _seen(1)
-    config = RecogniserConfig(registration=RegistrationConfig(sure=1e-300), peak=PeakConfig(deviations=1e9))
+    config = RecogniserConfig(registration=RegistrationConfig(sure=1e-300), peak=PeakConfig(ratio=1e9))
     result = Recognisers(scene.RIG, NOTHING, known, config).process(left, None, 7, prior)
     assert result.fix is not None
     assert "features agree" in result.report.detail
@@ -132,26 +132,15 @@ def test_too_late_out_of_order_or_elsewhere_confirms_nothing(known: MapImage, se
     assert waiting.process(left, None, 20 * SECOND + round(seconds * SECOND), later).report.outcome == "ambiguous"
 
 
-def _only_a_peak(oriented: float = 1.0, **changes: float) -> RecogniserConfig:
-    """Blocks, features and the directions of edges never agree."""
+def _only_a_peak(oriented: float = 1.0) -> RecogniserConfig:
+    """Blocks and features never agree, nor do the directions of edges."""
     never = RegistrationConfig(least_blocks=10**6)
-    return RecogniserConfig(
-        registration=never, features=FeatureConfig(least=10**6), peak=PeakConfig(oriented=oriented, **changes)
-    )
+    return RecogniserConfig(registration=never, features=FeatureConfig(least=10**6), peak=PeakConfig(oriented=oriented))
 
 
-def test_a_very_clear_peak_is_a_fix_before_features_are_sought(known: MapImage, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recognisers, "recognise", lambda *_: pytest.fail("features were sought"))
-    _, prior, left, _ = _seen(1)
-    result = Recognisers(scene.RIG, NOTHING, known, _only_a_peak()).process(left, None, 7, prior)
-    assert result.fix is not None
-    assert "peak of the search alone" in result.report.detail
-
-
-@pytest.mark.parametrize("high", ["alone_ratio", "alone_deviations"])
-def test_a_clear_peak_alone_waits_for_two_other_views(known: MapImage, high: str) -> None:
+def test_a_clear_peak_alone_waits_for_two_other_views(known: MapImage) -> None:
     """Hovering over the same ground is no other view, and an image that shows another error of the prior begins anew."""
-    waiting = Recognisers(scene.RIG, NOTHING, known, _only_a_peak(**{high: 1e9}))
+    waiting = Recognisers(scene.RIG, NOTHING, known, _only_a_peak())
     results = []
     for t, on in enumerate((0.0, 0.0, 40.0, 0.0, -40.0)):
         _, prior, left, _ = _seen(1, on=on)
@@ -159,7 +148,7 @@ def test_a_clear_peak_alone_waits_for_two_other_views(known: MapImage, high: str
     assert [r.report.outcome for r in results] == ["waiting", "waiting", "waiting", "waiting", "fixed"]
     assert [r.pose is not None for r in results] == [False, False, False, False, True]
     assert "other views agree" in results[4].report.detail
-    contradicted = Recognisers(scene.RIG, NOTHING, known, _only_a_peak(**{high: 1e9}))
+    contradicted = Recognisers(scene.RIG, NOTHING, known, _only_a_peak())
     _, prior, left, _ = _seen(1)
     contradicted.process(left, None, 0, prior)
     for t, on in enumerate((40.0, -40.0), 1):
@@ -168,12 +157,14 @@ def test_a_clear_peak_alone_waits_for_two_other_views(known: MapImage, high: str
         assert contradicted.process(left, None, t * SECOND, later).report.outcome == "waiting"
 
 
-def test_a_clear_peak_is_a_fix_where_edges_lie_the_same_way(known: MapImage) -> None:
+def test_a_clear_peak_is_a_fix_where_edges_lie_the_same_way(known: MapImage, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before features are sought."""
+    monkeypatch.setattr(recognisers, "recognise", lambda *_: pytest.fail("features were sought"))
     p_n, prior, left, _ = _seen(1)
-    config = _only_a_peak(oriented=0.18, alone_ratio=1e9)
-    result = Recognisers(scene.RIG, NOTHING, known, config).process(left, None, 7, prior)
+    result = Recognisers(scene.RIG, NOTHING, known, _only_a_peak(oriented=0.2)).process(left, None, 7, prior)
     assert result.fix is not None
     assert result.pose is not None
+    assert "peak of the search alone" in result.report.detail
     assert np.linalg.norm(result.pose.joint_p_n[:2] - p_n[:2]) < 3.0
 
 

@@ -1,6 +1,6 @@
 """Position by learned features: XFeat and LighterGlue as ONNX files, one thread, deterministic.
 
-map's image, projected over its heights to what the prior sees -> keypoints of both (Potje et al. 2024) -> matches (LightGlue,
+map's image, projected over its heights to what the camera sees -> keypoints of both (Potje et al. 2024) -> matches (LightGlue,
 Lindenberger et al. 2023) -> RANSAC and pose as in features.py, with scale, heading and tilt by the prior
 """
 
@@ -19,10 +19,12 @@ from vision.ground.image import Float, GroundImage, pyramid, sample
 from vision.ground.search import shift_of_ground
 from vision.ground.view import Mask, make_grid
 from vision.image.rectify import Image
+from vision.pose.pose import Pose
 
 _ROWS, _COLUMNS = 640, 360  # of the extractor's input
 _MOST_YAW: Final = math.radians(10.0)  # 1 sigma: the keypoints are not those of a turned image
 _WIDEST: Final = 2.0  # of the map's view: beyond it the ground is too small in it
+_NEAR: Final = 1.15  # of the map's view where the position is known by a peak: its scale is that of the image
 _STEEPEST: Final = 0.05  # least sine of a ray below the horizon
 _FEATURE_PX: Final = 1.0  # of a keypoint's position in the extractor's input
 _INLIER_PX: Final = 4.0  # the same, of RANSAC
@@ -90,10 +92,10 @@ def _session(model: Model, inputs: set[str], outputs: int) -> Any:
 
 
 def recognise_learned(
-    models: Learned, rig: StereoRig, image: Image, prior: Prior, map_image: GroundImage
+    models: Learned, rig: StereoRig, image: Image, prior: Prior, map_image: GroundImage, near: Pose | None = None
 ) -> Recognised | NotRecognised:
-    """Pose of the left camera."""
-    p_nc, R_nc = rig.camera_pose(prior.p_n, prior.R_nb)
+    """Pose of the left camera; near: p_n, R_nb from which the map is viewed, else from the prior, as wide as it is open."""
+    p_nc, R_nc = rig.camera_pose(*(near or (prior.p_n, prior.R_nb)))
     grid = make_grid((rig.left, p_nc, R_nc), map_image, _ROWS)
     if grid is None:
         return NotRecognised("no_ground", "the camera does not point at the ground")
@@ -105,7 +107,7 @@ def recognise_learned(
     arm = map_image.points(grid.centre[None])[0] - prior.p_n
     J = shift_of_ground(arm)
     open_px = 2.0 * math.sqrt(float(np.linalg.eigvalsh(J @ prior.covariance @ J.T)[-1])) / grid.camera_m
-    wide = min(1.0 + 2.0 * open_px / min(rig.left.width, rig.left.height), _WIDEST)
+    wide = _NEAR if near else min(1.0 + 2.0 * open_px / min(rig.left.width, rig.left.height), _WIDEST)
     unit_px = max(rig.left.width, rig.left.height) / _ROWS
     view, shown = _views(rig, image, (p_nc, R_nc), map_image, (wide, unit_px, grid.camera_m))
     mine, theirs = models.keypoints(view), models.keypoints(shown)

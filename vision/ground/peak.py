@@ -3,8 +3,8 @@
     C = (1 - rho^2) / rho  K^-1  c  +  (f q)^2 I,   K = -d^2 rho / d(north, east)^2
     s = m unevenness (1 - rho)^4
 
-C: of an image; s: common to all, shadows and leaning objects, m = 1 / (2 tan 15 deg). A low peak, or a line (ridge.py), needs
-other evidence (orientation.py, recognisers.py).
+C: of an image; s: common to all, shadows and leaning objects, m = 1 / (2 tan 15 deg). A peak, or a line (ridge.py), needs other
+evidence (orientation.py, recognisers.py).
 """
 
 import math
@@ -27,18 +27,15 @@ _POINT = PointConfig(least=1, freedom=1e3, expected=1.0)  # one point is not use
 
 
 class PeakConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """When a peak counts, also alone (alone_), and c, f, m."""
+    """When a peak counts, when its edges lie the same way (oriented), and c, f, m."""
 
     ratio: Annotated[float, Meta(ge=1, description="height of the peak over that of the second")] = 1.25
     correlation: Annotated[float, Meta(ge=0, le=1, description="at the peak")] = 0.2
     deviations: Annotated[float, Meta(ge=0, description="correlation at the peak over the scatter at other positions")] = 5.0
-    alone_ratio: Annotated[float, Meta(ge=1, description="peak over the second one, without other evidence")] = 1.6
-    alone_correlation: Annotated[float, Meta(ge=0, le=1, description="at the peak, without other evidence")] = 0.3
-    alone_deviations: Annotated[float, Meta(ge=0, description="correlation over the scatter, without other evidence")] = 5.5
-    oriented: Annotated[float, Meta(ge=0, le=1, description="coefficient of the edges' directions, as other evidence")] = 0.18
-    oriented_correlation: Annotated[float, Meta(ge=0, le=1, description="at the peak, with that evidence")] = 0.25
-    line_deviations: Annotated[
-        float, Meta(ge=0, description="correlation over the scatter beside a line, of which there are fewer than of positions")
+    oriented: Annotated[float, Meta(ge=0, le=1, description="coefficient of the edges' directions, as other evidence")] = 0.2
+    oriented_correlation: Annotated[float, Meta(ge=0, le=1, description="at the peak, with that evidence")] = 0.28
+    oriented_deviations: Annotated[
+        float, Meta(ge=0, description="correlation over the scatter, with that evidence: streets raise the scatter along them")
     ] = 3.0
     noise: Annotated[float, Meta(gt=0, description="c: variance of the correlation's noise")] = 2e-3
     step: Annotated[float, Meta(gt=0, description="f: of the search's step, 1 sigma")] = 0.3
@@ -53,18 +50,10 @@ def peak_flaw(peak: Peak, config: PeakConfig) -> str:
         return f"the peak is {peak.ratio:.2f} times the second, needed {config.ratio:g}"
     if peak.correlation < config.correlation:
         return f"correlation {peak.correlation:.2f}, needed {config.correlation:g}"
-    if peak.deviations < config.deviations:
-        return f"the peak is {peak.deviations:.1f} standard deviations of other positions high, needed {config.deviations:g}"
+    least = config.oriented_deviations if edges_agree(peak, config) else config.deviations
+    if peak.deviations < least:
+        return f"the peak is {peak.deviations:.1f} standard deviations of other positions high, needed {least:g}"
     return ""
-
-
-def stands_alone(peak: Peak, config: PeakConfig) -> bool:
-    """Whether a peak is a fix alone."""
-    return (
-        peak.ratio >= config.alone_ratio
-        and peak.correlation >= config.alone_correlation
-        and peak.deviations >= config.alone_deviations
-    )
 
 
 def edges_agree(peak: Peak, config: PeakConfig) -> bool:
@@ -93,10 +82,10 @@ def fit_ridge(
     ridge = peak.ridge
     if ridge is None:
         return "the best positions are no line"
-    if peak.correlation < config.alone_correlation or ridge.deviations < config.line_deviations:
-        return f"correlation {peak.correlation:.2f}, {ridge.deviations:.1f} standard deviations of those beside the line"
-    if peak.oriented < config.oriented:
+    if not edges_agree(peak, config):
         return "the edges lie another way"
+    if ridge.deviations < config.oriented_deviations:
+        return f"the line is {ridge.deviations:.1f} standard deviations high, needed {config.oriented_deviations:g}"
     across = np.outer(ridge.normal_n, ridge.normal_n)
     C = (ridge.sigma_m**2 + (config.step * peak.q) ** 2) * across + _OPEN_M**2 * (np.eye(2) - across)
     return _fit(rig, prior, map_image, (ridge.seen_n, ridge.shown_n, C), _moved(peak, map_image, config))

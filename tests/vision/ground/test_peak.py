@@ -70,7 +70,8 @@ def test_each_condition_counts() -> None:
     for change, said in (
         ({"ratio": 1.24}, "times the second"),
         ({"correlation": 0.19}, "correlation 0.19"),
-        ({"deviations": 4.9}, "standard deviations"),
+        ({"deviations": 4.9, "oriented": 0.19}, "needed 5"),
+        ({"deviations": 2.9}, "needed 3"),
         ({"curvature": None}, "no single peak"),
     ):
         flaw = fit_peak(scene.RIG, prior, map_image, replace(peak, **change))
