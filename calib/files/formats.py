@@ -30,7 +30,7 @@ __all__ = [
 
 _LONGEST_BASELINE_M = 20.0  # of a rig on a vehicle; a larger number is in millimetres
 _SHORTEST_BASELINE_M = 1e-3
-_MOST_BYTES = 1_000_000
+_MOST_BYTES = 100_000  # YAML is parsed at 50 kB a second
 
 
 class BodyPose(NamedTuple):

@@ -22,7 +22,7 @@ from estimator.service.zenoh.config import ZenohConfig, client_config
 from estimator.service.zenoh.keys import rmw_key
 from estimator.sources.gnss import FLAGGED
 from logs.wire import schemas
-from logs.wire.codec import INTEGRITY_TOPIC, Odometry, decode_aid_status, decode_integrity, decode_odometry
+from logs.wire.codec import INTEGRITY_TOPIC, Odometry, decode_aid_status, decode_diagnostics, decode_integrity, decode_odometry
 from logs.wire.schemas import STORE
 from models import so3
 from models.messages import Alert, Integrity
@@ -56,26 +56,34 @@ class View:
         self.integrity: Integrity | None = None
         self.place: tuple[float, float, float] | None = None  # lat_deg, lon_deg, alt_m
         self._heard_s: dict[str, float] = {}
+        self._malformed = Counter[str]()
         self._stamps_ns: deque[int] = deque(maxlen=_RECENT)  # of estimates
         self._aids: dict[str, deque[tuple[str, float, float, str]]] = {}  # reason, test ratio, delay, detail
 
     def hear(self, topic: str, data: bytes, now_s: float) -> None:
-        """One message of the daemon's."""
-        self._heard_s[topic] = now_s
+        """One message of the daemon's, or of whoever sends in its name."""
+        try:
+            self._take(topic, data)
+        except Exception:  # whatever a peer's bytes trip over
+            self._malformed[topic] += 1
+        else:
+            self._heard_s[topic] = now_s
+
+    def _take(self, topic: str, data: bytes) -> None:
         if topic == "/landfix/odometry":
             self.odometry = decode_odometry(data)
             self._stamps_ns.append(self.odometry.t_ns)
         elif topic == "/landfix/health":
-            self.health = _values(data)
+            self.health = decode_diagnostics(data)
         elif topic == INTEGRITY_TOPIC:
             self.integrity = decode_integrity(data)
         elif topic == "/landfix/daemon":
-            self.daemon = _values(data)
+            self.daemon = decode_diagnostics(data)
         elif topic == "/landfix/aid_status":
             status = decode_aid_status(data)
-            if (name := one_line(status.topic)) in self._aids or len(self._aids) < _MOST_TOPICS:
-                seen = self._aids.setdefault(name, deque(maxlen=_RECENT))
-                seen.append((one_line(status.reason), status.test_ratio, status.delay_s, one_line(status.detail)))
+            if status.topic in self._aids or len(self._aids) < _MOST_TOPICS:
+                seen = self._aids.setdefault(status.topic, deque(maxlen=_RECENT))
+                seen.append((status.reason, status.test_ratio, status.delay_s, status.detail))
         elif topic == "/landfix/global":
             message: Any = STORE.deserialize_cdr(data, schemas.NAV_SAT_FIX)
             self.place = message.latitude, message.longitude, message.altitude
@@ -86,7 +94,12 @@ class View:
         if age_s > _STALE_S:
             text = "nothing heard yet" if math.isinf(age_s) else f"nothing heard for {age_s:.0f} s"
             return Panel(Text(f"{text} from {connected}; is landfix running, and may we listen?", style="red"), width=_WIDTH)
-        return Group(self._state(), self._sources(), self._works())
+        try:
+            parts: list[RenderableType] = [self._state(), self._sources(), self._works()]
+        except (ArithmeticError, LookupError, ValueError) as error:  # values that no daemon of ours sends
+            parts = [Text(f"what is sent as the daemon's is malformed: {one_line(str(error))}", style="red")]
+        parts += [Text(f"malformed messages on {topic}: {n}", style="red") for topic, n in self._malformed.items()]
+        return Group(*parts)
 
     def _state(self) -> Panel:
         health, mode = self.health, self.health.get("mode", "unknown")
@@ -230,11 +243,6 @@ def _listen(session: zenoh.Session, domain: int, view: View) -> list[zenoh.Subsc
     return [session.declare_subscriber(rmw_key(domain, topic, schema), hear(topic)) for topic, schema in topics.items()]
 
 
-def _values(data: bytes) -> dict[str, str]:
-    message: Any = STORE.deserialize_cdr(data, schemas.DIAGNOSTICS)
-    return {one_line(pair.key): one_line(pair.value) for pair in message.status[0].values}
-
-
 def _fates(reasons: Iterable[str]) -> Text:
     counted = Counter(reasons).most_common()
     return Text(", ").join(Text(f"{n} {reason}", style="green" if reason == "fused" else "yellow") for reason, n in counted)
@@ -274,7 +282,7 @@ def _alert(integrity: Integrity) -> Text:
     )
     state = f"{i.state}, no alert limits configured" if i.state is Alert.NOT_JUDGED else str(i.state)
     words = f"{state}   {shown} at {i.risk_per_hour:g} per hour"
-    return Text(f"{words}\n{one_line(i.reason)}" if i.reason else words, style=_ALERTS[i.state])
+    return Text(f"{words}\n{i.reason}" if i.reason else words, style=_ALERTS[i.state])
 
 
 def _metres(given: str | None) -> str:

@@ -12,7 +12,8 @@ from logs.evaluation.trajectory import POSE_TYPES, Trajectory, decode, decode_ge
 from logs.store.reader import Attachment, LogError, LogReader, Record
 from logs.store.recorder import REFERENCE_ATTACHMENT
 from logs.wire import schemas
-from logs.wire.codec import INTEGRITY_TOPIC, decode_aid_status, decode_integrity
+from logs.wire.codec import INTEGRITY_TOPIC, decode_aid_status, decode_diagnostics, decode_integrity
+from logs.wire.stamps import stamp_of
 from models.frames import Origin
 from models.messages import AidStatus, Array, Integrity, Reason, Vec3
 
@@ -273,14 +274,13 @@ def _aids(sheaf: _Sheaf) -> tuple[AidStatus, ...]:
 
 def _health(sheaf: _Sheaf) -> tuple[HealthPoint, ...]:
     points = []
-    for _, message in sheaf.messages():
-        values = {pair.key: pair.value for status in message.status for pair in status.values}
-        points.append(HealthPoint(_t_ns(message), values.get("mode", "unknown"), float(values.get("absolute_age_s", "inf"))))
+    for _, (t_ns, values) in sheaf.parsed(lambda data: (stamp_of(data) or 0, decode_diagnostics(data))):
+        points.append(HealthPoint(t_ns, values.get("mode", "unknown"), float(values.get("absolute_age_s", "inf"))))
     return tuple(points)
 
 
 def _waited_for(sheaf: _Sheaf) -> str:
-    details = [pair.value for _, m in sheaf.messages() for status in m.status for pair in status.values if pair.key == "detail"]
+    details = [values.get("detail", "") for _, values in sheaf.parsed(decode_diagnostics)]
     return next((detail for detail in reversed(details) if detail), "it does not say why")
 
 

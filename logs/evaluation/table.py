@@ -51,7 +51,7 @@ def _table(title: str, columns: tuple[str, ...], rows: Sequence[Sequence[str]]) 
     for k, column in enumerate(columns):
         table.add_column(column, justify="right" if k else "left", no_wrap=not k)
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(Text, row))
     return table
 
 

@@ -13,10 +13,11 @@ from logs.evaluation.trajectory import Trajectory, decode
 from logs.report.buckets import Buckets
 from logs.store.reader import Record
 from logs.wire import schemas
-from logs.wire.codec import VISION_REQUEST_TOPIC, Decoder, decode_vision_request
+from logs.wire.codec import VISION_REQUEST_TOPIC, Decoder, decode_diagnostics, decode_vision_request
 from logs.wire.stamps import stamp_of
 from models.messages import Array, LandmarkFix, VisionReport, VisionRequest
 from models.radius import horizontal_radius
+from models.untrusted.toml_text import one_line
 
 HEALTH_TOPIC, DAEMON_TOPIC = "/landfix/health", "/landfix/daemon"
 FIX_TOPIC, VISION_TOPIC = "/landfix/fix", "/landfix/vision"
@@ -214,7 +215,8 @@ class Gathered:
         m: Any = schemas.STORE.deserialize_cdr(record.data, schemas.VISION_REPORT)
         t_ns = stamp_of(record.data) or 0
         self._frame(t_ns).report = VisionReport(
-            t_ns, record.log_time_ns, m.outcome, m.detail, int(m.regions), int(m.candidates), tuple(m.landmarks),
+            t_ns, record.log_time_ns, one_line(m.outcome), one_line(m.detail), int(m.regions), int(m.candidates),
+            tuple(map(one_line, m.landmarks)),
             tuple(m.similarities.tolist()), float(m.residual_px), float(m.processing_s),
         )  # fmt: skip
 
@@ -259,8 +261,7 @@ def _matrices(q_wxyz: Array) -> Array:
 
 
 def _diagnostics(record: Record) -> tuple[int, dict[str, str]]:
-    message: Any = schemas.STORE.deserialize_cdr(record.data, schemas.DIAGNOSTICS)
-    return stamp_of(record.data) or 0, {pair.key: pair.value for status in message.status for pair in status.values}
+    return stamp_of(record.data) or 0, decode_diagnostics(record.data)
 
 
 def seconds(t_ns: Times | list[int], start_ns: int = 0) -> Array:

@@ -16,6 +16,7 @@ from logs.store.reader import Attachment
 from logs.store.recorder import FINDINGS_ATTACHMENT
 from models.messages import Mode, Reason
 from models.radius import horizontal_radius
+from models.untrusted.toml_text import one_line
 from models.web_page import BAD, GOOD, USABLE
 
 _MANY_REFUSED: Final = 0.2
@@ -103,7 +104,7 @@ def at_fault(attachments: Iterable[Attachment]) -> list[Finding]:
         causes = msgspec.json.decode(data, type=list[Cause])
     except msgspec.DecodeError:
         return []
-    return [Finding(Level.WRONG if cause.unfit else Level.WARNING, f"at fault: {cause}") for cause in causes]
+    return [Finding(Level.WRONG if cause.unfit else Level.WARNING, f"at fault: {one_line(str(cause))}") for cause in causes]
 
 
 def _consistency(e: Evaluation) -> list[Finding]:

@@ -24,6 +24,7 @@ from mcap.writer import MCAP0_MAGIC as MAGIC
 from logs.store.chunks import content_of
 from models.untrusted.file import opened
 from models.untrusted.limits import TooLargeError, allowed, check_records
+from models.untrusted.toml_text import one_line
 
 RawMessage: TypeAlias = tuple[int, int, int, int, bytes]
 """Channel, sequence, log time, publish time, data."""
@@ -222,12 +223,14 @@ class RecordFile:
     def _note(self, record: McapRecord) -> None:
         match record:
             case Channel():
+                record.topic = one_line(record.topic)
                 self.channels.setdefault(record.id, record)
             case Schema():
                 self.schemas.setdefault(record.id, record)
             case Attachment():
                 self.attachments.append(record)
             case Metadata():
+                record.metadata = {one_line(key): one_line(value) for key, value in record.metadata.items()}
                 self.metadata.append(record)
             case Header():
                 self.profile = record.profile

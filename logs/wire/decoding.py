@@ -41,6 +41,7 @@ from models.messages import (
     vec3,
 )
 from models.state import E
+from models.untrusted.toml_text import one_line
 
 LANDMARK_FIX_TOPIC: Final = "/landfix/fix"
 CHECKPOINT_TOPIC: Final = "/landfix/checkpoint"
@@ -169,8 +170,8 @@ def decode_aid_status(data: bytes) -> AidStatus:
     return AidStatus(
         t_ns=_t_ns(message.header.stamp),
         arrived_ns=_t_ns(message.arrived),
-        topic=message.topic,
-        kind=message.kind,
+        topic=one_line(message.topic),
+        kind=one_line(message.kind),
         reason=Reason(message.reason),
         revision=message.revision,
         innovation=tuple(message.innovation.tolist()),
@@ -178,8 +179,14 @@ def decode_aid_status(data: bytes) -> AidStatus:
         test_ratio=message.test_ratio,
         delay_s=message.delay_s,
         replayed=message.replayed,
-        detail=message.detail,
+        detail=one_line(message.detail),
     )
+
+
+def decode_diagnostics(data: bytes) -> dict[str, str]:
+    """Keys and values of a DiagnosticArray. Raises ValueError."""
+    message = _deserialize(data, schemas.DIAGNOSTICS)
+    return {one_line(pair.key): one_line(pair.value) for status in message.status for pair in status.values}
 
 
 def decode_vision_request(data: bytes, arrived_ns: int) -> VisionRequest:
@@ -255,7 +262,7 @@ def _reading(kind: str, sensor: Sensor, topic: str, message: Any, arrived_ns: in
 def _odometry_pose(topic: str, message: Any, arrived_ns: int) -> OdometryPose:
     """The pose; its covariance is of all its past, the velocity redundant."""
     p_o, q_ob_wxyz, _ = _pose(message.pose)
-    return OdometryPose(_t_ns(message.header.stamp), arrived_ns, p_o, q_ob_wxyz, message.header.frame_id, topic)
+    return OdometryPose(_t_ns(message.header.stamp), arrived_ns, p_o, q_ob_wxyz, one_line(message.header.frame_id), topic)
 
 
 def _odometry_motion(message: Any) -> tuple[int, Vec3, Quat, Array]:
@@ -294,7 +301,7 @@ def _pose_fix(topic: str, message: Any, arrived_ns: int) -> PoseFix:
 def _landmark_fix(topic: str, message: Any, arrived_ns: int) -> LandmarkFix:
     p_n, q_nb_wxyz, covariance = _pose(message.pose)
     common, rig = message.covariance_common.reshape(6, 6), message.covariance_rig.reshape(6, 6)
-    errors, names, directions = message.landmark_errors, tuple(message.landmarks), message.directions
+    errors, names, directions = message.landmark_errors, tuple(map(one_line, message.landmarks)), message.directions
     return LandmarkFix(
         t_ns=_t_ns(message.header.stamp),
         arrived_ns=arrived_ns,

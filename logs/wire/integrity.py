@@ -7,6 +7,7 @@ import numpy as np
 from logs.wire import schemas
 from logs.wire.schemas import STORE
 from models.messages import Alert, Integrity
+from models.untrusted.toml_text import one_line
 
 INTEGRITY_TOPIC: Final = "/landfix/integrity"
 
@@ -37,6 +38,6 @@ def decode_integrity(data: bytes, arrived_ns: int = 0) -> Integrity:
     except Exception as error:  # whatever bytes from outside trip over, they are not of this type
         raise ValueError(str(error)) from error
     return Integrity(
-        t_ns, arrived_ns or t_ns, state, m.reason, m.risk_per_hour, m.hpl, m.vpl, m.hal, m.val,
+        t_ns, arrived_ns or t_ns, state, one_line(m.reason), m.risk_per_hour, m.hpl, m.vpl, m.hal, m.val,
         tuple(m.risks_per_hour.tolist()), tuple(m.hpls.tolist()), tuple(m.vpls.tolist()), m.sigma_h, m.sigma_v,
     )  # fmt: skip

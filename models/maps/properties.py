@@ -12,6 +12,7 @@ import msgspec
 
 from models.maps import colours, on_ground
 from models.maps.table import WEIGHTS, Defaults, Weights
+from models.untrusted.toml_text import one_line
 
 LEVEL_M = 3.0  # height of one storey
 EAVE_SIGMA_M = 0.3  # of the roof's edge about the walls' outline
@@ -123,7 +124,7 @@ def read(p: Properties, defaults: Defaults, side_sigma_m: float | None = None) -
         math.nan if ground is None else ground,
         outline_sigma if corner_sigma is None else corner_sigma,
     )
-    name = p.name if isinstance(p.name, str) else ""
+    name = one_line(p.name) if isinstance(p.name, str) else ""
     weights = None if p.weights is None else _weights(p.weights, remarks)
     return Attributes(numbers, UNKNOWN if colour is None else colour, name, weights, missing, remarks)
 
@@ -140,7 +141,7 @@ def identity(p: Properties, feature_id: str | float | None, number: int) -> str:
 
 def _text(identifier: Any) -> str:
     if isinstance(identifier, str):
-        return identifier.strip()
+        return one_line(identifier.strip())
     if isinstance(identifier, (int, float)) and not isinstance(identifier, bool):
         return f"{identifier:.0f}" if float(identifier).is_integer() else str(identifier)
     return ""

@@ -20,6 +20,7 @@ from models.sim.sensors import GRADES, Imu, ImuRecord, measure
 from models.sim.trajectory import FixedWing, Motion, Multirotor, build
 
 EPOCH_NS = 1_700_000_000_000_000_000
+_MOST_SAMPLES = 2e7  # a day at 200 Hz; in memory at once
 _HOME = (47.3977, 8.5456, 488.0)  # lat_deg, lon_deg, alt_m: a field near Zurich
 
 
@@ -50,6 +51,9 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
             raise ValueError("gnss: there is no GNSS where geographic = false")
         if self.cameras is not None and not self.geographic:
             raise ValueError("cameras: their map needs a place on Earth, geographic = false has none")
+        samples = sum(imu.rate_hz * self.duration_s for imu in (self.imu, *self.other_imus))
+        if not 1.0 <= samples <= _MOST_SAMPLES:
+            raise ValueError(f"duration_s, rate_hz: {samples:.3g} IMU samples; wanted are 1 to {_MOST_SAMPLES:.3g}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ import mmap
 import re
 import struct
 from collections.abc import Callable
+from itertools import islice
 from pathlib import Path
 from typing import Final, NamedTuple, TypeAlias
 
@@ -17,11 +18,12 @@ Bytes: TypeAlias = bytes | memoryview | mmap.mmap
 
 
 class ImageHeader(NamedTuple):
-    """Declared size; bytes_a_pixel: decoded, at least."""
+    """Declared size; bytes_a_pixel: decoded, at least; scans: times that a JPEG's decoder visits all pixels."""
 
     width: int
     height: int
     bytes_a_pixel: int
+    scans: int = 1
 
     @property
     def pixels(self) -> int:
@@ -30,6 +32,8 @@ class ImageHeader(NamedTuple):
 
 
 _NO_FRAME: Final = frozenset({0xC4, 0xC8, 0xCC})  # among the frame headers SOF0 to SOF15: tables
+_SCAN: Final = re.compile(rb"\xff\xda")  # SOS: within a scan 0xFF is followed by 0 or a restart marker
+_MOST_SCANS: Final = 100  # progressive ones have about 10, and those of a preview
 _ALONE: Final = frozenset({0x01, *range(0xD0, 0xD9)})  # JPEG markers without a segment
 _PNG_CHANNELS: Final = {0: 1, 2: 3, 3: 3, 4: 4, 6: 4}  # as decoded: a palette becomes colours
 _PNM: Final = re.compile(rb"P([1-6])" + rb"(?:\s|#[^\n]*\n)+(\d{1,9})" * 2 + rb"(?:(?:\s|#[^\n]*\n)+(\d{1,6}))?")
@@ -66,6 +70,8 @@ def too_large(header: ImageHeader, size: int, most_pixels: int) -> str:
         return f"{declared}, {most_pixels} are read at most"
     if header.pixels * header.bytes_a_pixel > allowed(size, BINARY_RATIO):
         return f"{declared} in {size} bytes"
+    if header.scans > _MOST_SCANS:
+        return f"{declared} in more than {_MOST_SCANS} scans"
     return ""
 
 
@@ -80,7 +86,8 @@ def _jpeg(data: Bytes) -> ImageHeader | None:
             continue
         if 0xC0 <= marker <= 0xCF and marker not in _NO_FRAME:
             bits, height, width, channels = struct.unpack_from(">BHHB", data, at + 4)
-            return ImageHeader(width, height, (1 if channels == 1 else 3) * (1 if bits <= 8 else 2))
+            scans = sum(1 for _ in islice(_SCAN.finditer(data, at), _MOST_SCANS + 1))
+            return ImageHeader(width, height, (1 if channels == 1 else 3) * (1 if bits <= 8 else 2), scans)
         (length,) = struct.unpack_from(">H", data, at + 2)
         at += 2 + length
 

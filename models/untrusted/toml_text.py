@@ -39,6 +39,8 @@ def table(text: str) -> dict[str, Any]:
 
 
 def one_line(text: str, most: int = 300) -> str:
-    """A message on one line of readable length."""
+    """A message on one line of readable length, without control characters."""
+    if len(text) <= most and text.isprintable():
+        return text
     words = " ".join("".join(c if c.isprintable() else " " for c in text).split())
     return words if len(words) <= most else f"{words[: most - 3]}..."

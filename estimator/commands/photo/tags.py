@@ -18,6 +18,9 @@ from pathlib import Path
 from typing import Any, Final
 from xml.etree import ElementTree
 
+from calib.errors import CalibrationError
+from models.untrusted.boundary import refusing
+
 _EXIF_IFD, _GPS_IFD = 0x8769, 0x8825
 _MAKE, _MODEL, _SOFTWARE = 0x010F, 0x0110, 0x0131
 _TAKEN, _FOCAL_MM, _FOCAL_35_MM, _ZOOM = 0x9003, 0x920A, 0xA405, 0xA404
@@ -67,10 +70,10 @@ class Tags:
 
 
 def read(path: Path) -> Tags:
-    """Tags of a photo. Raises OSError where it is no image."""
+    """Tags of a photo. Raises CalibrationError where it is no image."""
     from PIL import Image
 
-    with warnings.catch_warnings(action="ignore"), Image.open(path) as photo:
+    with warnings.catch_warnings(action="ignore"), refusing(CalibrationError, path), Image.open(path) as photo:
         try:
             every = photo.getexif()
             exif: Mapping[int, Any] = {**every, **every.get_ifd(_EXIF_IFD)}

@@ -5,7 +5,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from msgspec.structs import replace
 
@@ -17,11 +17,8 @@ from estimator.service.zenoh.bus import BusError
 from estimator.strict_toml import ConfigError
 from estimator.tools.doctor.log import log
 from estimator.tools.doctor.machine import Check, judge
-from logs.wire import schemas
-from logs.wire.codec import TICK_TOPIC, Encoded
-from logs.wire.schemas import STORE
+from logs.wire.codec import TICK_TOPIC, Encoded, decode_diagnostics
 from models.messages import Output
-from models.untrusted.toml_text import one_line
 
 _RATE: Final = "rate_hz "
 _NOT_SENSORS: Final = ("log", TICK_TOPIC)  # of a log's checks
@@ -41,8 +38,7 @@ class _Listener:
     def send(self, outputs: Sequence[Output], encoded: Sequence[Encoded]) -> None:  # noqa: ARG002  (an Outbox is given both)
         for message in encoded:
             if message.topic == TOPIC:
-                report: Any = STORE.deserialize_cdr(message.data, schemas.DIAGNOSTICS)
-                self.status = {one_line(pair.key): one_line(pair.value) for pair in report.status[0].values}
+                self.status = decode_diagnostics(message.data)
                 rates = {key.removeprefix(_RATE): rate for key, rate in self.status.items() if key.startswith(_RATE)}
                 heard = ", ".join(f"{topic} {float(rate):.0f} Hz" for topic, rate in rates.items() if topic != TICK_TOPIC)
                 self._say(heard or "nothing comes")

@@ -4,7 +4,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from logs.evaluation.evaluate import LONGEST_STEP_NS
 from logs.evaluation.trajectory import decode, interpolate
 from logs.store.reader import Attachment, LogError, LogReader, Record
 from logs.wire import axes, schemas
-from logs.wire.codec import VISION_REQUEST_TOPIC, Decoder, decode_vision_request
+from logs.wire.codec import VISION_REQUEST_TOPIC, Decoder, decode_diagnostics, decode_vision_request
 from logs.wire.images import ImageError, decode_image
 from logs.wire.stamps import stamp_of
 from models import so3
@@ -67,9 +67,7 @@ class Flight:
             if isinstance(fix, LandmarkFix):
                 self.identified[fix.t_ns] = frozenset(fix.landmarks)
         elif record.topic == HEALTH_TOPIC:
-            message: Any = schemas.STORE.deserialize_cdr(record.data, record.schema)
-            values = {pair.key: pair.value for status in message.status for pair in status.values}
-            self.modes.append((stamp_of(record.data) or 0, values.get("mode", "")))
+            self.modes.append((stamp_of(record.data) or 0, decode_diagnostics(record.data).get("mode", "")))
 
     def topic_of(self, topics: Sequence[str]) -> str:
         """The topic with images. Raises LogError without images or estimate."""

@@ -2,6 +2,8 @@
 
 import json
 import math
+import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -88,6 +90,17 @@ def test_accuracy_is_what_the_camera_reports_of_it(tmp_path: Path) -> None:
     assert tags.above_ellipsoid
     assert tags_of(tmp_path, {"Camera:GPSXYAccuracy": "1.2", "Camera:GPSZAccuracy": "17/10"}).sigma_m == (1.2, 1.7)
     assert tags_of(tmp_path, {"Camera:GPSXYAccuracy": "0", "Camera:GPSZAccuracy": "0"}).sigma_m is None
+
+
+@pytest.mark.parametrize("size", [None, (40_000, 40_000)])
+def test_what_is_no_photo_or_declares_too_many_pixels_is_one_line(size: tuple[int, int] | None, tmp_path: Path) -> None:
+    path = tmp_path / "photo.png"
+    header = b"IHDR" + struct.pack(">IIBBBBB", *size, 1, 0, 0, 0, 0) if size else b""
+    png = b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + header + struct.pack(">I", zlib.crc32(header))
+    path.write_bytes(png if size else b"noise")
+    with pytest.raises(CalibrationError, match=r"photo\.png: damaged, or not as its format says") as refused:
+        read(path)
+    assert str(refused.value).isprintable()
 
 
 @pytest.mark.parametrize("xmp", [b"<x", b'<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', b"\0" * 50, b"<a>" * 9000])

@@ -60,6 +60,18 @@ def test_what_peers_send_is_text_and_neither_markup_nor_control_characters() -> 
     assert "\x07" not in text
 
 
+def test_bytes_and_values_that_no_daemon_sends_are_named_and_the_screen_goes_on() -> None:
+    view = View()
+    (health,) = encode(Health(T0, T0, Mode.AIDED, 0.5, 1.25, 0.5, 0, {}, {}, 1))
+    view.hear(health.topic, health.data, 1.0)
+    view.hear(health.topic, health.data[:60], 1.0)
+    text = _text(view, 1.5)
+    assert "1.25 m" in text
+    assert "malformed messages on /landfix/health: 1" in text
+    view.hear(health.topic, health.data.replace(b"1.25", b"1.x5"), 1.0)
+    assert "malformed: could not convert string to float: '1.x5'" in _text(view, 1.5)
+
+
 def test_a_flag_of_the_receiver_is_shown_with_its_source_as_long_as_it_is_raised() -> None:
     view = View()
     for detail in ("", "the receiver reports jamming"):

@@ -363,6 +363,9 @@ def test_the_table_reports_what_the_record_holds(consistent: Evaluation) -> None
     for word in ("3001 estimates", "Accuracy", "aligned, SE(3)", "Consistency", "Outages", "/pose_fix", "gated 8", "Resets"):
         assert word in text
     assert "…" not in text  # everything fits a narrow terminal
+    named = msgspec.structs.replace(consistent, aids=(msgspec.structs.replace(consistent.aids[0], topic="[/x]"),))
+    print_table(named, Console(file=out))  # a topic is no markup
+    assert "[/x]" in out.getvalue()
 
 
 def test_the_table_needs_no_truth(log: Path, tmp_path: Path) -> None:

@@ -46,6 +46,22 @@ def record(path: Path, count: int) -> list[tuple[str, str, bytes, int]]:
     return written
 
 
+def test_names_are_printable(tmp_path: Path) -> None:
+    """They go to terminals."""
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, compression=CompressionType.LZ4)
+        writer.start("ros2")
+        schema = writer.register_schema(schemas.IMU, "ros2msg", schema_text(schemas.IMU).encode())
+        channel = writer.register_channel("/imu\x1b]0;owned\x07", "cdr", schema)
+        writer.add_message(channel, START_NS, messages(1)[0][2], START_NS)
+        writer.add_metadata("landfix", {"version": "1\x1b[2J"})
+        writer.finish()  # type: ignore[no-untyped-call]
+    (message,), reader = read(path)
+    assert message[0] == "/imu ]0;owned"
+    assert reader.metadata["landfix"] == {"version": "1 [2J"}
+
+
 def plain(records: Sequence[Record]) -> list[tuple[str, str, bytes, int]]:
     return [(r.topic, r.schema, r.data, r.log_time_ns) for r in records]
 

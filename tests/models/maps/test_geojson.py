@@ -122,6 +122,7 @@ def test_what_cannot_be_understood_is_remarked_and_taken_as_missing(properties: 
         (feature(**{"@id": "relation/9"}), "relation/9"),
         ({**feature(id="outer"), "properties": {"id": "pad"}}, "pad"),
         (feature(id=""), "#1"),
+        (feature(id="a\x1b]0;b\x07"), "a ]0;b"),
     ],
 )
 def test_identifiers(given: dict[str, Any], expected: str) -> None:

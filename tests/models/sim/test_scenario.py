@@ -112,6 +112,12 @@ def test_without_a_place_on_earth_there_is_no_origin_and_no_gnss() -> None:
         Scenario(geographic=False, gnss=Gnss())
 
 
+@pytest.mark.parametrize(("duration_s", "rate_hz"), [(86_400.0, 10_000.0), (60.0, 1e-9)])
+def test_more_samples_than_fit_into_memory_or_none_are_refused(duration_s: float, rate_hz: float) -> None:
+    with pytest.raises(ValueError, match=r"^duration_s, rate_hz: .* IMU samples; wanted are 1 to 2e\+07$"):
+        Scenario(duration_s=duration_s, imu=Imu(rate_hz=rate_hz))
+
+
 def test_truth_since() -> None:
     truth = simulate(Scenario(duration_s=5.0), 0).truth
     late = truth.since(EPOCH_NS + 2_000_000_001)

@@ -39,6 +39,22 @@ def test_pixels_that_cannot_be_in_so_few_bytes_are_too_many() -> None:
     assert too_large(header, 124_517, 2**30) == "declares 32000 x 32000 pixels in 124517 bytes"
 
 
+def test_a_jpeg_of_thousands_of_scans_is_refused_and_a_progressive_one_is_not() -> None:
+    """Each costs a pass over all pixels and a few bytes."""
+    image = np.random.default_rng(1).integers(0, 255, (30, 50, 3), dtype=np.uint8)
+    _, file = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])
+    data = file.tobytes()
+    header = image_header(data)
+    assert header is not None
+    assert 5 <= header.scans <= 20
+    assert too_large(header, len(data), 1500) == ""
+    many = data[:-2] + data[data.rindex(b"\xff\xda") : -2] * 100 + data[-2:]
+    assert cv2.imdecode(np.frombuffer(many, np.uint8), cv2.IMREAD_COLOR) is not None
+    header = image_header(many)
+    assert header is not None
+    assert too_large(header, len(many), 1500) == "declares 50 x 30 pixels in more than 100 scans"
+
+
 @pytest.mark.parametrize("data", [b"", b"\xff\xd8\xff", b"GIF89a" + bytes(20), b"BM" + bytes(30), b"II*\0" + b"\xff" * 20])
 def test_no_image(data: bytes) -> None:
     assert image_header(data) is None

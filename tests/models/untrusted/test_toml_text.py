@@ -16,6 +16,14 @@ def test_a_dotted_key_of_many_parts_is_refused_before_it_is_read(part: str) -> N
     assert time.process_time() - began_s < 1.0
 
 
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [("/imu  2", "/imu  2"), ("a\x1b]0;b\x07c", "a ]0;b c"), ("a\nb", "a b"), ("\u202eg", "g"), ("a" * 400, "a" * 297 + "...")],
+)
+def test_one_line_has_no_control_characters(text: str, line: str) -> None:
+    assert toml_text.one_line(text) == line
+
+
 def test_dots_in_strings_comments_and_short_keys_are_no_parts() -> None:
     dots = ".".join("a" * 30)
     text = f'a.b.c = "{dots}"  # {dots}\nd = """\n{dots} = 1\n"""\n'
