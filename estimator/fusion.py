@@ -52,6 +52,8 @@ from models.state import E, X
 _OUT_OF_SYNC_SAMPLES, _OUT_OF_SYNC_NS = 20, 1_000_000_000  # of IMU stamps that are off, before they are taken for the new clock
 _FAILURES = 2  # in a row, after which the estimator restarts itself
 _FUTURE_NS: Final = 1_000_000_000  # by which a stamp may run ahead of its stream's clock
+# Of a checkpoint: position [m], half way round the Earth, velocity [m/s], quaternion, biases [rad/s, m/s^2]
+_MOST: Final = np.repeat([2e7, 2e3, 1.1, 10.0, 100.0], [3, 3, 4, 3, 3])
 _RESET_SIGMA: Final = 5.0  # a larger jump is reported as a reset
 _RADIUS95 = 2.4477468  # sqrt of the 95 % point of chi-square with 2 degrees of freedom
 
@@ -291,6 +293,8 @@ class Fusion:
             refusal = Refusal(Reason.MALFORMED, "a state of 16 numbers, its covariance of 15 x 15 and the last GNSS are expected")
         elif not state.sound(checkpoint.nav, checkpoint.covariance):
             refusal = Refusal(Reason.NOT_FINITE)
+        elif not (np.abs(checkpoint.nav) <= _MOST).all():
+            refusal = Refusal(Reason.IMPLAUSIBLE, "a position, velocity or bias that no vehicle and no IMU has")
         elif self._config.origin not in {None, checkpoint.origin}:
             refusal = Refusal(Reason.NO_ORIGIN, "the map had another origin")
         if refusal is not None:

@@ -92,6 +92,8 @@ def test_it_is_refused_once_the_estimate_has_begun(whole: Run) -> None:
     ("change", "reason"),
     [
         ({"nav": np.full(16, np.nan)}, Reason.NOT_FINITE),
+        ({"nav": np.r_[1.7e15, np.zeros(5), 1.0, np.zeros(9)]}, Reason.IMPLAUSIBLE),
+        ({"nav": np.r_[np.zeros(6), 1.0, np.zeros(3), 1e15, np.zeros(5)]}, Reason.IMPLAUSIBLE),
         ({"origin": (1.0, 2.0, 3.0)}, Reason.NO_ORIGIN),
         ({"nav": None}, Reason.MALFORMED),
         ({"covariance": None}, Reason.MALFORMED),
