@@ -23,9 +23,11 @@ from rich.progress import track
 from benchmarks.aerial.registration_sets import Flight, Shot, flights, learned_models
 from benchmarks.flights.tasks import data_folder
 from benchmarks.tables import Table, number
+from models.camera import StereoRig
 from models.maps.landmarks import LandmarkMap
 from models.messages import Array
 from vision.ground.features import FeatureConfig, FeatureMap, Recognised, recognise
+from vision.ground.image import GroundImage
 from vision.ground.learned import Learned, recognise_learned
 from vision.ground.peak import PeakConfig, fit_peak
 from vision.ground.registration import register
@@ -121,7 +123,7 @@ def fly(flight: Flight, ways: Sequence[Way] = WAYS) -> Iterator[Outcome]:
             cpu_s = time.process_time() - begin
             off = float(np.linalg.norm((shot.prior.p_n - shot.p_n)[:2]))
             what = flight.group, way, flight.decoy, outcome, detail, off, cpu_s
-            yield Outcome(*what) if pose is None else Outcome(*what, True, *_judge(flight, shot, pose))
+            yield Outcome(*what) if pose is None else Outcome(*what, True, *judge(flight.rig, flight.known.image, shot, pose))
 
 
 def _alone(way: Way, models: Learned | None, flight: Flight, shot: Shot) -> tuple[PoseEstimate | None, str, str]:
@@ -149,15 +151,15 @@ def _peak(flight: Flight, shot: Shot, config: PeakConfig) -> tuple[PoseEstimate 
     return (None, "not_found", found) if isinstance(found, str) else (found, "fixed", f"ratio {peak.ratio:.2f}")
 
 
-def _judge(flight: Flight, shot: Shot, pose: PoseEstimate) -> tuple[float, float, int]:
+def judge(rig: StereoRig, map_image: GroundImage, shot: Shot, pose: PoseEstimate) -> tuple[float, float, int]:
     """Distance on the ground between what the image's middle shows, that squared over its covariance, and in how many directions;
     of a fix of one direction along the axis known best.
     """
 
     def middle(p_n: Array, R_nb: Array) -> Array:
-        camera, (p_nc, R_nc) = flight.rig.left, flight.rig.camera_pose(p_n, R_nb)
+        camera, (p_nc, R_nc) = rig.left, rig.camera_pose(p_n, R_nb)
         ray = R_nc @ camera.ray(np.array([[0.5 * camera.width, 0.5 * camera.height]]))[0]
-        ground = float(flight.known.image.heights.at(shot.p_n[None, :2])[0])
+        ground = float(map_image.heights.at(shot.p_n[None, :2])[0])
         place: Array = p_nc[:2] + ray[:2] * (ground - p_nc[2]) / ray[2]
         return place
 

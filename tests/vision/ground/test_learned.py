@@ -11,6 +11,7 @@ from benchmarks.aerial import nust
 from benchmarks.aerial.registration_sets import NEAR, nust_file
 from benchmarks.aerial.trials import generator, nadir_rig
 from estimator.map_files import image as image_store
+from models import so3
 from models.camera import StereoRig
 from models.prior import Prior
 from tests.vision.ground import scene
@@ -58,6 +59,19 @@ def test_ground_that_is_known_is_found(models: Learned) -> None:
     assert isinstance(found, Recognised), found
     assert not pose_flaw(found.pose, prior)
     assert squared < 33.7  # chi-square of 6, 1e-5
+
+
+def test_near_a_position_the_map_is_as_fine_as_the_image(models: Learned) -> None:
+    """From a wide prior the map's view is half as fine: fewer of the matches agree."""
+    rng = np.random.default_rng(1)
+    p_n, R_nb, _ = scene.flight(rng, SIGMA)
+    prior = Prior(p_n, so3.from_matrix(R_nb), np.diag(np.array([40.0, 40.0, *SIGMA[2:]]) ** 2))
+    image, known = scene.shot(scene.drawing(1), p_n, R_nb, rng), scene.map_image(scene.drawing(1))
+    wide = recognise_learned(models, scene.RIG, image, prior, known)
+    near = recognise_learned(models, scene.RIG, image, prior, known, (p_n, R_nb))
+    assert isinstance(wide, Recognised), wide
+    assert isinstance(near, Recognised), near
+    assert near.inliers / near.matched > wide.inliers / wide.matched
 
 
 @pytest.mark.long
