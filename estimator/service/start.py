@@ -1,6 +1,7 @@
 """A start without GNSS: position, and perhaps heading, of a vehicle that stands still.
 
-Sent as fixes with one error that all of them share (LandmarkFix.landmark_errors), so that ten are worth one.
+Sent as fixes with one error that all of them share (LandmarkFix.landmark_errors), so that ten are worth one; for so long that
+[rest] is confirmed, which holds the estimate until the vehicle moves.
 """
 
 import math
@@ -23,7 +24,8 @@ _NAME: Final = "typed"  # of the one error, among those of landmarks
 _STILL_M, _STILL_RAD = 0.05, math.radians(0.5)  # sigma, by which a vehicle that stands moves between two fixes
 _TILT_RAD: Final = math.radians(10.0)  # of the ground that it stands on
 _NOT_GIVEN: Final = 1e6
-_EVERY_S: Final = 0.5
+EVERY_S: Final = 0.5
+LEAST_S: Final = 6.0  # of 3 s of rest, an update each second, and the start
 _WAITING: Final = frozenset({"starting", "aligning", "aligning_heading"})
 
 
@@ -56,18 +58,21 @@ class Start(msgspec.Struct, frozen=True):
 
 
 def start(session: zenoh.Session, domain: int, given: Start, patience_s: float) -> float:
-    """Send it until the daemon has an estimate with a heading; how long that took, s.
+    """Send it until the daemon has an estimate with a heading, LEAST_S at least; how long the estimate took, s.
 
     Raises BusError: there is an estimate already, or none comes.
     """
     if (mode := _mode(session)) not in _WAITING:
         raise BusError(f"the daemon has an estimate already (mode {mode}); a start is for one that has none")
     key, began_s = rmw_key(domain, _TOPIC, schemas.LANDMARK_FIX, schemas.type_hash(schemas.LANDMARK_FIX)), time.monotonic()
+    begun_s: float | None = None
     while (waited_s := time.monotonic() - began_s) < patience_s:
         session.put(key, encode_input(given.fix(time.time_ns())).data)
-        time.sleep(_EVERY_S)
-        if (mode := _mode(session)) not in _WAITING:
-            return waited_s
+        time.sleep(EVERY_S)
+        if begun_s is None and (mode := _mode(session)) not in _WAITING:
+            begun_s = waited_s
+        if begun_s is not None and waited_s >= LEAST_S:
+            return begun_s
     raise BusError(f"no estimate with a heading after {patience_s:g} s (mode {mode}): landfix monitor says what is missing")
 
 

@@ -72,7 +72,7 @@ def _ranges(truth: Truth, config: Config) -> list[Input]:
 def _typed(truth: Truth) -> list[Input]:
     """`landfix start` before the vehicle moves: a position known to 0.5 m."""
     start = Start(vec3(truth.p_n[0]), 0.5)
-    return [start.fix(EPOCH_NS + k * 500_000_000) for k in range(2, 5)]
+    return [start.fix(EPOCH_NS + k * 500_000_000) for k in range(2, 5)]  # then it moves
 
 
 def _messages(config: Config, journey: Ride) -> list[Input]:

@@ -30,8 +30,9 @@ def command(
 ) -> None:
     """Start a running daemon without GNSS: where the vehicle stands, and where its nose points.
 
-    The vehicle stands still meanwhile. Needs [map] origin. Refused once there is an estimate. With --heading to 4 degrees or
-    better the estimate comes within seconds; otherwise a sensor or the motion has to show the heading.
+    The vehicle stands still meanwhile. Needs [map] origin, and [rest] enabled to hold the estimate until the vehicle moves.
+    Refused once there is an estimate. With --heading to 4 degrees or better the estimate comes within seconds; otherwise a
+    sensor or the motion has to show the heading.
 
     \b
     Examples:
@@ -48,7 +49,8 @@ def command(
     lat, lon, *height = _place(at)
     mine = load(config)
     with monitor.connected(mine.zenoh, config.parent if config else Path(), connect) as (session, _):
-        place = parse(monitor.asked(session, "config"), "the daemon's configuration").map.origin
+        its = parse(monitor.asked(session, "config"), "the daemon's configuration")
+        place = its.map.origin
         if place is None:
             raise ConfigError("the daemon's configuration has no [map] origin: a start without GNSS needs one")
         p_n = vec3(Origin(*place).to_ned(lat, lon, height[0] if height else place[2]))
@@ -56,6 +58,8 @@ def command(
         given = start.Start(p_n, sigma_m, heading, math.radians(heading_sigma_deg))
         waited_s = start.start(session, mine.zenoh.domain, given, _PATIENCE_S)
     typer.echo(f"landfix has an estimate after {waited_s:.1f} s")
+    if not its.rest.enabled:
+        typer.echo("[rest] enabled is not set: without other fixes the estimate is of no use in a few seconds", err=True)
 
 
 def _place(text: str) -> list[float]:
