@@ -253,11 +253,24 @@ def _links(d: Mapping[str, str]) -> Iterator[tuple[str, str, bool]]:
         seen = f"{d['vision fixes']} fixes of {d['vision pairs']} pairs, {d['vision latency_ms']} ms"
         yield "vision", f"{state}   {seen}, {d['vision restarts']} restarts", state in {"ready", "seeing"}
     if state := d.get("mavlink state"):
-        heard_s, sent = d["mavlink heard_s"], f"sent {d['mavlink odometry']} odometry, {d['mavlink fixes']} fixes"
+        heard_s = d["mavlink heard_s"]
         heard = "no heartbeat yet" if heard_s == "never" else f"{d['mavlink autopilot']} heard {heard_s} s ago"
-        yield "mavlink", f"{state}   {heard}, {sent}", state == "open" and heard_s != "never"
+        yield "mavlink", f"{state}   {heard}, {_sent(d, 'mavlink')}", state == "open" and heard_s != "never"
         if ekf := ekf_line(d):
             yield "its EKF", ekf, "not fused" not in ekf
+        if heading := d.get("mavlink attitude"):
+            yield "its attitude", heading, False
+    if ahead := d.get("px4 clock_ahead_s"):
+        heard = "nothing of fmu/out comes" if ahead == "unknown" else "heard"
+        yield "px4", f"{heard}, {_sent(d, 'px4')}", ahead != "unknown"
+    for link in ("mavlink", "px4"):
+        if origin := d.get(f"{link} ekf_origin"):
+            yield "its origin", origin, "quality -1" not in origin
+
+
+def _sent(d: Mapping[str, str], link: str) -> str:
+    odometry, quality, fixes = (d[f"{link} {name}"] for name in ("odometry", "quality", "fixes"))
+    return f"sent {odometry} odometry (quality {quality}), {fixes} fixes"
 
 
 def ekf_line(d: Mapping[str, str]) -> str:

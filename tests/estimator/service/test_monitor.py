@@ -141,8 +141,15 @@ def test_odometry_that_carries_the_estimate_is_the_mode_and_has_its_line() -> No
 def test_links_and_defects_are_shown_where_there_are_any() -> None:
     values = {
         "vision": {"state": "does not answer", "fixes": 7, "pairs": 9, "latency_ms": 43.5, "restarts": 2},
-        "mavlink": {"state": "open", "autopilot": "px4", "heard_s": "0.2", "odometry": 30, "fixes": 4},
-    }
+        "mavlink": {
+            "state": "open", "autopilot": "px4", "heard_s": "0.2", "odometry": 30, "quality": 87, "fixes": 4,
+            "ekf_origin": "3 m north, 0 m east, 1 m above the map's", "attitude": "not taken: its compass is dead",
+        },
+        "px4": {
+            "clock_ahead_s": "unknown", "odometry": 0, "quality": "none sent", "fixes": 0,
+            "ekf_origin": "not known: ODOMETRY has quality -1",
+        },
+    }  # fmt: skip
     view, status = View(), Status(T0, {name: lambda part=part: part for name, part in values.items()})  # type: ignore[misc]
     status.note_defect("KeyError: 7")
     report = status.report(T0)
@@ -150,7 +157,10 @@ def test_links_and_defects_are_shown_where_there_are_any() -> None:
     view.hear(report.topic, report.data, 1.0)
     text = _text(view, 1.5)
     assert "does not answer   7 fixes of 9 pairs, 43.5 ms, 2 restarts" in text
-    assert "open   px4 heard 0.2 s ago, sent 30 odometry, 4 fixes" in text
+    assert "open   px4 heard 0.2 s ago, sent 30 odometry (quality 87), 4 fixes" in text
+    assert "nothing of fmu/out comes, sent 0 odometry (quality none sent), 0 fixes" in text
+    for said in ("3 m north, 0 m east", "not taken: its compass is dead", "not known: ODOMETRY has quality -1"):
+        assert said in text
     assert "1, the last: KeyError: 7" in text
 
 
