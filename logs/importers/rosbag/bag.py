@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import apsw
+from msgspec.structs import replace
 from rosbags import rosbag1, rosbag2
 from rosbags.interfaces import Connection
 
@@ -21,13 +22,15 @@ from logs.importers.rosbag import unindexed
 from logs.store.reader import LogError, LogReader, Record
 from logs.wire.receiver import FLAGS
 from logs.wire.schemas import STORE, is_known
-from models.untrusted.file import opened
+from models.untrusted.file import content, opened
+from models.untrusted.toml_text import one_line
 
 _STORAGES: Final = (".mcap", ".db3", ".bag")
 _SIGNS: Final = {b"\x89MCAP0": ".mcap", b"#ROSBAG V": ".bag"}
 _HEAD_BYTES: Final = 16
 _ACTIVE: Final = ".active"  # NAME.bag.active: of a recorder that was killed
 _COMPRESSED: Final = re.compile(r"^\s*compression_mode:\s*[\"']?(?:file|message)", re.MULTILINE | re.IGNORECASE)
+_MOST_METADATA: Final = 500_000  # bytes; YAML is parsed at 50 kB a second
 _FAILURES: Final = (rosbag1.ReaderError, rosbag2.ReaderError, apsw.Error, OSError, ValueError, KeyError)
 
 
@@ -67,6 +70,8 @@ class Bag:
         for done, path in enumerate(self.files):
             self._done, self._share = done, 0.0
             for record in read(path):
+                if not record.topic.isprintable():
+                    record = replace(record, topic=one_line(record.topic))  # noqa: PLW2901
                 if wanted is None or record.topic in wanted:
                     yield record
         self._done, self._share = len(self.files), 0.0
@@ -75,6 +80,7 @@ class Bag:
         self.notes.append(f"{path.name}: {why}; what stands before was read")
 
     def _add(self, name: str, schema: str, *, readable: bool) -> bool:
+        name = one_line(name)
         self.topics.setdefault(name, Topic(name, schema, readable))
         return readable
 
@@ -90,13 +96,15 @@ class Bag:
                 self._note(path, "torn" if reader.torn else "damaged in places")
 
     def _sqlite(self, path: Path) -> Iterator[Record]:
-        """A file without metadata.yaml, as of a killed recorder."""
-        metadata = path.with_name("metadata.yaml")
-        with_metadata = metadata.exists()
-        if with_metadata and _COMPRESSED.search(metadata.read_text(errors="replace")):
+        """A file without metadata.yaml, as of a killed recorder; one that is too large is passed over."""
+        try:
+            metadata = content(path.with_name("metadata.yaml"), _MOST_METADATA).decode(errors="replace")
+        except OSError:
+            metadata = ""
+        if _COMPRESSED.search(metadata):
             raise LogError(f"{path}: is compressed, as a whole or message by message; convert it first: ros2 bag convert")
         try:
-            reader = rosbag2.Reader(path.parent if with_metadata and len(self.files) == 1 else path)
+            reader = rosbag2.Reader(path.parent if metadata and len(self.files) == 1 else path)
             reader.open()
         except _FAILURES as error:
             raise _unreadable(path, error) from None

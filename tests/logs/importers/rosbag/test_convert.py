@@ -1,6 +1,8 @@
 """Bags of each storage give the log that the same messages give; what real bags get wrong is mended or named."""
 
+import os
 import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -221,6 +223,17 @@ def test_a_database_needs_no_metadata_and_a_torn_one_is_refused_with_the_remedy(
     file.write_bytes(file.read_bytes()[:300_001])
     with pytest.raises(LogError, match=r"\.recover"):
         imported(bag, tmp_path / "torn.mcap")
+
+
+@pytest.mark.parametrize("place", [lambda path: path.write_text("z: [" + "1," * 300_000 + "1]\n"), os.mkfifo])
+def test_metadata_that_nobody_writes_are_passed_over(
+    place: Callable[[Path], object], records: list[Record], tmp_path: Path
+) -> None:
+    bag = ros2(tmp_path / "bag", records, StoragePlugin.SQLITE3)
+    (bag / "metadata.yaml").unlink()
+    place(bag / "metadata.yaml")
+    _, log = imported(bag, tmp_path / "flight.mcap")
+    assert bytes_of(log) == bytes_of(records)
 
 
 def test_the_files_of_a_folder_are_one_flight_in_the_order_of_their_numbers(records: list[Record], tmp_path: Path) -> None:
