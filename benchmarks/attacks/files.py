@@ -11,12 +11,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
+import cv2
 import numpy as np
 
 from benchmarks.attacks.cell import ANY, READ_OR_REFUSED, REFUSED, Cell
 from benchmarks.attacks.typed import LOG
 from benchmarks.service import fuzz_seeds
 from calib.files.formats import save_rig
+from logs.store.reader import LogReader
+from logs.store.recorder import Recorder
 from vision.synthetic.rigs import make_rig
 
 _PLACE: Final = "47.4,8.5"
@@ -47,6 +50,7 @@ def logs(folder: Path, cases: Path) -> Iterator[Cell]:
     rng = np.random.default_rng(1)
     noise = rng.bytes(10_000)
     broken = {"empty": b"", "one byte": b"\x89", "noise": noise, "magic only": log[:8], "text": b"t_s,gx\n1,2\n" * 100}
+    _named(folder / LOG, folder / "names.mcap")
     damaged = {"torn": log[: len(log) // 2], "noise within": log[:3000] + noise[:2000] + log[5000:], "tail only": log[-3000:]}
     for name, data in (broken | damaged).items():
         (folder / f"{name}.mcap").write_bytes(data)
@@ -57,7 +61,7 @@ def logs(folder: Path, cases: Path) -> Iterator[Cell]:
         for name in broken:
             codes = READ_OR_REFUSED if (what, name) == ("recover", "magic only") else REFUSED  # a log of no message
             yield Cell("log", f"{what}: {name}", _words(words, folder / f"{name}.mcap"), codes)
-        for name in damaged:
+        for name in (*damaged, "names"):
             yield Cell("log", f"{what}: {name}", _words(words, folder / f"{name}.mcap"), READ_OR_REFUSED)
         for name in ("loop", "folder", "pipe", "absent"):
             yield Cell("log", f"{what}: {name}", _words(words, folder / f"{name}.mcap"), REFUSED | frozenset({2}))
@@ -65,6 +69,7 @@ def logs(folder: Path, cases: Path) -> Iterator[Cell]:
             yield Cell("log", f"{what}: {bomb.name}", _words(words, bomb), REFUSED)
     for bomb in _there(attacks, "zstd_250MiB_x40.mcap", "huge_message_count.mcap"):
         yield Cell("log", f"import rosbag: {bomb.name}", ("import", "rosbag", str(bomb), "-o", "i.mcap"), REFUSED)
+    yield Cell("log", "import rosbag: names", ("import", "rosbag", "names.mcap", "-o", "i.mcap"), READ_OR_REFUSED)
     yield Cell("log", "a log over itself", ("replay", "torn.mcap", "-o", "torn.mcap"), REFUSED | frozenset({2}))
 
 
@@ -163,6 +168,7 @@ def images(folder: Path, cases: Path) -> Iterator[Cell]:
         "empty.jpg": b"", "noise.jpg": np.random.default_rng(4).bytes(3000), "text.png": b"an image\n", "torn.jpg": jpeg[:200],
         "torn.png": png[:100], "gif.png": b"GIF89a" + bytes(100), "2^31.png": big + _chunk(b"IDAT", zlib.compress(bytes(1000))),
         "zero.png": b"\x89PNG\r\n\x1a\n" + _chunk(b"IHDR", bytes(13)), "xml.jpg": b'<svg width="9e9" height="9e9"/>',
+        "scans.jpg": _scans(100_000),
         "pnm.ppm": b"P6 999999999 999999999 255\n", "bmp.bmp": b"BM" + bytes(12) + struct.pack("<Iii", 40, 2**31 - 1, -(2**31)),
     }  # fmt: skip
     for name, data in files.items():
@@ -172,6 +178,7 @@ def images(folder: Path, cases: Path) -> Iterator[Cell]:
     for path in paths:
         located = ("locate", str(path), "--rig", "rig.yaml", "--map", "map.geojson", "--prior", _PRIOR)
         yield Cell("image", f"locate: {path.name}", located, REFUSED)
+        yield Cell("image", f"photo: {path.name}", ("locate", str(path), "--map", "map.geojson"), REFUSED)
         yield Cell("image", f"measure: {path.name}", ("measure", str(path), str(path), "--rig", "rig.yaml"), REFUSED)
         words = (
             "locate",
@@ -187,6 +194,10 @@ def images(folder: Path, cases: Path) -> Iterator[Cell]:
         )
         yield Cell("image", f"orthophoto: {path.name}", words, REFUSED)
 
+    for name, text in {"long": "x: [" + "1," * 400_000 + "1]\n", "deep": "x: " + "[" * 400_000, "alike": _aliases(9)}.items():
+        (folder / f"{name}.yaml").write_text(text)
+        yield Cell("image", f"rig: {name}", ("measure", "torn.jpg", "torn.jpg", "--rig", f"{name}.yaml"), REFUSED)
+
 
 def _there(folder: Path, *names: str) -> list[Path]:
     return [folder / name for name in names if (folder / name).is_file()]
@@ -198,6 +209,27 @@ def _words(words: tuple[str, ...], path: Path) -> tuple[str, ...]:
 
 def _collection(*features: object) -> bytes:
     return json.dumps({"type": "FeatureCollection", "features": features}).encode()
+
+
+def _named(log: Path, out: Path) -> None:
+    """The log, its topics named with control characters and markup."""
+    with LogReader(log) as reader, Recorder(out) as recorder:
+        for record in reader:
+            recorder.write(f"{record.topic}\x1b]0;mine\x07[/x]", record.schema, record.data, record.log_time_ns)
+
+
+def _scans(count: int) -> bytes:
+    """A progressive JPEG whose last scan comes again and again."""
+    image = np.random.default_rng(1).integers(0, 255, (480, 640), dtype=np.uint8)
+    data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1, cv2.IMWRITE_JPEG_QUALITY, 1])[1].tobytes()
+    scans = data.split(b"\xff\xda")
+    return data[:-2] + (b"\xff\xda" + min(scans[1:], key=len)) * count + data[-2:]
+
+
+def _aliases(levels: int) -> str:
+    """YAML of ten to the power of so many numbers, by aliases."""
+    lines = [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}' if k else '1'] * 10)}]" for k in range(levels)]
+    return "\n".join([*lines, "camera_matrix: *a0\n"])
 
 
 def _bomb() -> bytes:
