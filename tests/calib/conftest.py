@@ -8,9 +8,9 @@ from calib.board.chessboard import Board, View
 from calib.board.corners import Grey
 from calib.cameras.bundle import IDENTITY, Pose
 from calib.files.rig_yaml import FORWARD
-from calib.synthetic import views
 from models import so3
 from models.camera import CameraModel, StereoRig
+from tests.calib.synthetic import views
 
 cv2.setNumThreads(1)
 

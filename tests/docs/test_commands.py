@@ -25,8 +25,6 @@ from benchmarks.flights.tasks import data_folder
 from calib.board.chessboard import Board
 from calib.cameras.bundle import Pose
 from calib.files.formats import load_rig
-from calib.synthetic import views
-from calib.synthetic.motion import EUROC_NOISE, Truth, record
 from estimator.cli import app
 from estimator.config import load
 from logs.store.recorder import Recorder
@@ -38,6 +36,8 @@ from models.frames import GRAVITY
 from models.messages import GnssFix, GnssVelocity, ImuSample, vec3
 from models.sim.scenario import simulate
 from models.sim.scenario_file import loads
+from tests.calib.synthetic import views
+from tests.calib.synthetic.motion import EUROC_NOISE, Truth, record
 from tests.docs import started
 from tests.estimator.commands.photos import of_scene
 from vision.synthetic.scenes import WorldSpec, make_world

@@ -7,10 +7,10 @@ from calib.board.corners import Grey
 from calib.cameras.bundle import IDENTITY, Pose
 from calib.errors import CalibrationError
 from calib.files.fisheye import rational
-from calib.synthetic import views
 from models import so3
 from models.camera import CameraModel
 from tests.calib.conftest import BOARD, CAMERA, SMALL
+from tests.calib.synthetic import views
 from vision.image.rectify import Image
 
 

@@ -5,9 +5,9 @@ import pytest
 
 from calib.cameras import bundle
 from calib.cameras.bundle import IDENTITY, Pose, Problem, Seen, adjust
-from calib.synthetic import views as synthetic
 from models import so3
 from tests.calib.conftest import BOARD, true_rig
+from tests.calib.synthetic import views as synthetic
 
 
 def problem(sigma_px: float, seed: int = 0) -> Problem:

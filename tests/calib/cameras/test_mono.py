@@ -12,10 +12,10 @@ from calib.cameras.mono import Lens
 from calib.cameras.selection import ENOUGH, choose, coverage
 from calib.errors import CalibrationError
 from calib.report import verdict
-from calib.synthetic import views as synthetic
 from models.camera import CameraModel
 from models.messages import Array
 from tests.calib.conftest import BOARD, CAMERA, simulated_views
+from tests.calib.synthetic import views as synthetic
 
 
 def parameters(camera: CameraModel) -> Array:

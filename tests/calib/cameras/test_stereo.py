@@ -11,11 +11,11 @@ from calib.cameras.mono import Lens
 from calib.cameras.stereo import Pair
 from calib.errors import CalibrationError
 from calib.report import verdict
-from calib.synthetic import views as synthetic
 from models import so3
 from models.camera import StereoRig
 from models.messages import Array
 from tests.calib.conftest import BOARD, seen_by, true_rig
+from tests.calib.synthetic import views as synthetic
 
 
 def simulated_pairs(

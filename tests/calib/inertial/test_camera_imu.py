@@ -9,8 +9,6 @@ from calib.errors import CalibrationError
 from calib.inertial import camera_imu, grey_box, imu_report
 from calib.inertial.camera_imu import CameraImu, Recording
 from calib.report.verdict import Grade
-from calib.synthetic import motion as synthetic_motion
-from calib.synthetic.motion import EUROC_NOISE, Truth, record
 from models import so3
 from models.camera import CameraModel
 from models.frames import GRAVITY
@@ -18,6 +16,8 @@ from models.imu import Coast, constants
 from models.messages import Array
 from models.state import E, NavState
 from tests.calib.conftest import BOARD
+from tests.calib.synthetic import motion as synthetic_motion
+from tests.calib.synthetic.motion import EUROC_NOISE, Truth, record
 
 CAMERA = CameraModel(752, 480, 458.654, 457.296, 367.215, 248.375, (-0.283, 0.074, 2e-4, 1.8e-5))
 FORWARD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])

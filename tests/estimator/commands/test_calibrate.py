@@ -9,9 +9,6 @@ from typer.testing import CliRunner, Result
 from calib.board.chessboard import Board
 from calib.cameras.bundle import Pose
 from calib.files.formats import load_camera, load_cameras, load_rig, save_rig
-from calib.synthetic import motion as synthetic_motion
-from calib.synthetic import views as synthetic
-from calib.synthetic.motion import EUROC_NOISE, Truth
 from estimator.cli import app
 from estimator.commands.common import image_source
 from logs.store.recorder import Recorder
@@ -21,6 +18,9 @@ from models import so3
 from models.camera import CameraModel, StereoRig
 from models.frames import GRAVITY
 from models.messages import ImuSample, vec3
+from tests.calib.synthetic import motion as synthetic_motion
+from tests.calib.synthetic import views as synthetic
+from tests.calib.synthetic.motion import EUROC_NOISE, Truth
 
 BOARD = Board(7, 5, 0.03)
 LEFT = CameraModel(320, 240, 270.0, 271.0, 158.0, 121.0, (-0.2, 0.05, 0.0, 0.0))

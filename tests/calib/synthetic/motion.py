@@ -8,12 +8,12 @@ import numpy as np
 from calib.board.chessboard import Board, View
 from calib.cameras.bundle import Pose, rotation_vector
 from calib.inertial.camera_imu import Recording, Times
-from calib.synthetic import views as synthetic
 from models import so3
 from models.camera import CameraModel
 from models.frames import GRAVITY
 from models.imu import ImuNoise
 from models.messages import Array
+from tests.calib.synthetic import views as synthetic
 
 EUROC_NOISE: Final = ImuNoise(gyro_noise=1.6968e-4, accel_noise=2e-3, gyro_walk=1.9393e-5, accel_walk=3e-3, gyro_scale=0.0)
 _START_NS: Final = 1_700_000_000_000_000_000

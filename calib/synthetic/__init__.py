@@ -1,1 +1,0 @@
-"""Boards seen by known cameras. May import everything of calib."""
