@@ -14,10 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
-from rich.box import SIMPLE
-from rich.console import Console
 from rich.progress import track
-from rich.table import Table as RichTable
 
 from benchmarks.campaign import flights as campaign_flights
 from benchmarks.campaign import report as campaign_report
@@ -25,7 +22,6 @@ from benchmarks.campaign import runs as campaign_runs
 from benchmarks.campaign import statistics as campaign_statistics
 from benchmarks.campaign.statistics import Result
 from benchmarks.jobs import importable
-from benchmarks.tables import Table
 from estimator.tools.fleet.engine import cluster
 from estimator.tools.fleet.engine import results as results_of
 
@@ -102,19 +98,8 @@ def write(out: Path, results: list[Result]) -> None:
     out.mkdir(parents=True, exist_ok=True)
     (out / "report.md").write_text(campaign_report.markdown(tables), encoding="utf-8")
     (out / "results.json").write_bytes(msgspec.json.format(msgspec.json.encode({"flights": results}), indent=1))
-    console = Console()
-    console.width = max(console.width, 140)
-    for table in tables:
-        console.print(rich(table))
-    console.print(f"Report: {out / 'report.md'}")
-
-
-def rich(table: Table) -> RichTable:
-    """For the terminal."""
-    result = RichTable(*table.columns, title=table.title, title_justify="left", title_style="bold", box=SIMPLE)
-    for row in table.rows:
-        result.add_row(*row)
-    return result
+    print("\n".join(table.markdown() for table in tables))
+    print(f"Report: {out / 'report.md'}")
 
 
 if __name__ == "__main__":
