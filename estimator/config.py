@@ -1,6 +1,7 @@
 """The configuration: TOML sections -> parameter structs."""
 
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
@@ -24,12 +25,14 @@ from estimator.service.mavlink.config import MavlinkConfig
 from estimator.service.zenoh.config import ZenohConfig
 from estimator.sources.aids import SourcesConfig
 from estimator.strict_toml import ConfigError
+from logs.store.reader import Attachment
+from logs.store.recorder import CONFIG_ATTACHMENT
 from logs.wire.codec import Decoder, ImuMounting, Topics
 from models.imu import ImuNoise
 from models.untrusted import toml_text
 from models.untrusted.file import opened
 
-__all__ = ["Config", "ConfigError", "load", "parse", "read", "with_origin"]
+__all__ = ["Config", "ConfigError", "load", "parse", "read", "recorded", "with_origin"]
 
 _TOPICS = Topics()
 _Topics: TypeAlias = tuple[str, ...]
@@ -241,9 +244,15 @@ def with_origin(config: Config, folder: Path) -> Config:
     return msgspec.structs.replace(config, map=msgspec.structs.replace(config.map, origin=origin))
 
 
-def parse(text: str, name: str = "configuration") -> Config:
-    """The configuration of a TOML text called `name`. Raises ConfigError."""
-    config = strict_toml.decode(Config, text, name)
+def recorded(attachments: Iterable[Attachment], log: str) -> Config:
+    """The configuration attached to a log, perhaps by another version; defaults if there is none. Raises ConfigError."""
+    text = next((a.data for a in attachments if a.name == CONFIG_ATTACHMENT), b"")
+    return parse(text.decode("utf-8", "replace"), f"{log}, {CONFIG_ATTACHMENT}", is_recorded=True)
+
+
+def parse(text: str, name: str = "configuration", *, is_recorded: bool = False) -> Config:
+    """The configuration of a TOML text called `name`; is_recorded: without the keys that were removed. Raises ConfigError."""
+    config = strict_toml.decode(Config, text, name, is_recorded=is_recorded)
     try:
         config.decoder()
     except ConfigError as error:

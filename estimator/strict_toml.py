@@ -39,11 +39,11 @@ class Key(NamedTuple):
     meaning: str
 
 
-def decode(kind: type[T], text: str, name: str) -> T:
-    """The struct `kind` from TOML called `name`. Raises ConfigError."""
+def decode(kind: type[T], text: str, name: str, *, is_recorded: bool = False) -> T:
+    """The struct `kind` from TOML called `name`; is_recorded: without the keys that were removed. Raises ConfigError."""
     try:
         table = toml_text.table(text)
-        checked = _checked(_struct(mi.type_info(kind)), table, "")
+        checked = _checked(_struct(mi.type_info(kind)), table, "", is_recorded=is_recorded)
     except ValueError as error:  # ConfigError too
         raise ConfigError(f"{name}: {error}") from None
     try:
@@ -77,13 +77,16 @@ def _nested(info: mi.Type) -> mi.StructType | None:
     return next((a for a in _alternatives(info) if isinstance(a, mi.StructType)), None)
 
 
-def _checked(info: mi.StructType, table: Mapping[str, Any], path: str) -> dict[str, Any]:
+def _checked(info: mi.StructType, table: Mapping[str, Any], path: str, *, is_recorded: bool = False) -> dict[str, Any]:
     fields = {f.encode_name: f.type for f in info.fields}
     result = {}
     for key, value in table.items():
-        if key not in fields:
+        where = f"{path}.{key}" if path else key
+        if key in fields:
+            nested = _nested(fields[key]) if isinstance(value, dict) else None
+            result[key] = _checked(nested, value, where, is_recorded=is_recorded) if nested else _value(fields[key], value, where)
+        elif not (is_recorded and _advice(key, path)):
             raise ConfigError(_unknown(key, list(fields), path))
-        result[key] = _value(fields[key], value, f"{path}.{key}" if path else key)
     return result
 
 
@@ -154,17 +157,23 @@ _REMOVED = {  # key, section.key or .section: what to do
             "frontend/repeat.py": "replay_latency_ms",
             "service/base/clock.py": "ahead_s",
             "service/daemon.py": "tick_hz",
+            "service/log/writer.py": "image_queue_mb",
         }.items()
         for key in keys.split()
     },
+    "visual_odometry.timeout_s": "leave it out: [vision] timeout_s holds for odometry too",
     ".coast": "leave it out: models/imu.py has how a gap of the IMU is bridged",
 }
+
+
+def _advice(key: str, path: str) -> str | None:
+    return _REMOVED.get(f"{path}.{key}") or (_REMOVED.get(key) if path else None)
 
 
 def _unknown(key: str, known: list[str], path: str) -> str:
     key = toml_text.one_line(key, 80)
     where, what = (f"key '{key}' in [{path}]", f"keys of [{path}]") if path else (f"section [{key}]", "sections")
-    if advice := _REMOVED.get(f"{path}.{key}") or (path and _REMOVED.get(key)):
+    if advice := _advice(key, path):
         return f"{where} was removed: {advice}"
     near = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
     hint = f"; did you mean '{near[0]}'?" if near else ";"

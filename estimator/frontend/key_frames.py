@@ -32,9 +32,6 @@ class VisualOdometryConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
         _Height | None, Meta(description="m: height of the ground above the map's origin, where it is level; not given: not used")
     ] = None
     ground_sigma_m: Annotated[float, Meta(ge=0.01, le=1000, description="m: 1-sigma of that height around the vehicle")] = 2.0
-    timeout_s: Annotated[
-        float, Meta(ge=0.01, le=3600, description="s: odometry that does not answer for so long is started anew")
-    ] = 2.0
 
     @property
     def level(self) -> tuple[float, float] | None:

@@ -31,7 +31,7 @@ class VisionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         float, Meta(ge=0, le=1000, description="ms: how long one image waits for the other, then it goes alone")
     ] = 100.0
     timeout_s: Annotated[
-        float, Meta(ge=0.01, le=3600, description="s: vision that does not answer for so long is started anew")
+        float, Meta(ge=0.01, le=3600, description="s: vision or odometry that does not answer for so long is started anew")
     ] = 2.0
 
 

@@ -4,7 +4,9 @@ from pathlib import Path
 import pytest
 
 from estimator import strict_toml
-from estimator.config import Config, ConfigError, load, parse
+from estimator.config import Config, ConfigError, load, parse, recorded
+from logs.store.reader import Attachment
+from logs.store.recorder import CONFIG_ATTACHMENT
 from logs.wire.codec import ImuMounting, encode_input
 from models.imu import ImuNoise
 from models.messages import ImuSample
@@ -68,6 +70,18 @@ def test_axes_and_mounting_reach_the_decoder() -> None:
     assert decoded.accel_b == pytest.approx(sample.accel_b)
 
 
+def test_a_log_of_an_older_version_is_read_without_the_keys_that_were_removed() -> None:
+    older = TASK + "[imus]\nsilent_s = 1\n[visual_odometry]\ntimeout_s = 3.0\n"
+    assert recorded([attached(older)], "a.mcap") == parse(TASK)
+    assert recorded([], "a.mcap") == Config()
+    with pytest.raises(ConfigError, match=r"a.mcap, config.toml: unknown key 'interval' in \[visual_odometry\]"):
+        recorded([attached("[visual_odometry]\ninterval = 3\n")], "a.mcap")
+
+
+def attached(text: str) -> Attachment:
+    return Attachment(CONFIG_ATTACHMENT, "application/toml", text.encode())
+
+
 def test_everything_survives_writing_and_reading() -> None:
     config = parse(TASK)
     assert parse(config.toml()) == config
@@ -85,6 +99,10 @@ def test_everything_survives_writing_and_reading() -> None:
         (
             "[rest]\ngyro = 1\n",
             "v.toml: key 'gyro' in [rest] was removed: leave it out: it is a constant of estimator/sources/rest.py",
+        ),
+        (
+            "[visual_odometry]\ntimeout_s = 3\n",
+            "v.toml: key 'timeout_s' in [visual_odometry] was removed: leave it out: [vision] timeout_s holds for odometry too",
         ),
         ("[imu]\ngyro = 1\n", "v.toml: unknown key 'gyro' in [imu]; did you mean 'gyro_walk'?"),
         ("[innputs]\n", "v.toml: unknown section [innputs]; did you mean 'inputs'? sections: gnss, pose_fix, landmark_fix, "),

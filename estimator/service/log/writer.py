@@ -29,7 +29,7 @@ _RETRY_S: Final = 2.0
 _STALL_S: Final = 1.5  # seen in a status of every second, within 2 s or so
 _SPACE_EVERY_S: Final = 1.0
 _MB: Final = 1_000_000
-_OUTPUTS_LIMIT, _INPUTS_LIMIT = 32 * _MB, 256 * _MB  # bytes that wait for the disk
+_IMAGES_LIMIT, _OUTPUTS_LIMIT, _INPUTS_LIMIT = 64 * _MB, 32 * _MB, 256 * _MB  # bytes that wait for the disk
 
 
 class LogConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -51,7 +51,6 @@ class LogConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         float, Meta(ge=0, le=1e6, description="s: between writes that outlive a power cut; 0: left to the system")
     ] = 5.0
     images: Annotated[bool, Meta(description="whether images are recorded")] = True
-    image_queue_mb: Annotated[float, Meta(ge=1e-3, le=1e6, description="MB: images that may wait for the disk")] = 64.0
 
 
 class LogState(NamedTuple):
@@ -132,7 +131,7 @@ class LogWriter:
         with self._image_lock:
             self._image_bytes += len(arrival.data)
             self._images.append(_Item(*arrival[:4]))
-            while self._images and self._image_bytes - self._taken_image_bytes > self._config.image_queue_mb * _MB:
+            while self._images and self._image_bytes - self._taken_image_bytes > _IMAGES_LIMIT:
                 self._image_bytes -= len(self._images.popleft().data)
                 self._dropped_images += 1
 

@@ -51,7 +51,7 @@ class OdometryWorker(VisionWorker):
         tell: Callable[[Encoded], None],
     ) -> None:
         self._key_frames = KeyFrames(config)
-        super().__init__((rig_file,), vision_config(config, vision), sides, clock, stamps, track, tell)
+        super().__init__((rig_file,), vision, sides, clock, stamps, track, tell)
 
     @staticmethod
     def _target() -> Callable[..., None]:
@@ -64,8 +64,3 @@ class OdometryWorker(VisionWorker):
         request, first = asked
         (message,) = encode(request)
         return message, [first, pair]
-
-
-def vision_config(config: VisualOdometryConfig, vision: VisionConfig) -> VisionConfig:
-    """Pairing as for landmarks, time-out as for odometry."""
-    return VisionConfig(vision.most_hz, vision.pair_ms, vision.patience_ms, config.timeout_s)

@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 
-from estimator.config import Config, ConfigError, parse, read
+from estimator.config import Config, ConfigError, parse, read, recorded
 from estimator.replay.from_images import seen_again
 from estimator.replay.replay import OWN_INPUTS, OWN_PREFIX, SeesAgain, logged, replay
 from estimator.replay.summary import SummaryBuilder
@@ -25,7 +25,6 @@ from logs.evaluation.evaluate import MOST, assess
 from logs.importers import convert, kind_of_name
 from logs.store.parts import PartsReader
 from logs.store.reader import LogError
-from logs.store.recorder import CONFIG_ATTACHMENT
 
 _PACKAGES: Final = ("estimator", "vision", "models", "calib", "logs")
 _OF_SUMMARY: Final = ("first_estimate_s", "internal_errors", "torn", "skipped_chunks", "missing")
@@ -130,7 +129,7 @@ def _prepared(flight: Flight, settings: Settings, scratch: Path, row: dict[str, 
         row["start_utc_s"] = next((record.log_time_ns * 1e-9 for record in reader), None)
         row["imported_as"] = reader.imported_as
         if config is None:
-            config = own or _recorded_with(reader)
+            config = own or recorded(reader.attachments, "the log")
     row["configuration_sha256"] = sha256(config.toml().encode()).hexdigest()
     row["vehicle"] = config.bounds.vehicle
     if not settings.from_images:
@@ -170,11 +169,6 @@ def _local(flight: Flight, wanted: Callable[[str], bool], scratch: Path, row: di
         files.append(file)
     row["inputs_sha256"] = digest.hexdigest()
     return files, made
-
-
-def _recorded_with(reader: PartsReader) -> Config:
-    texts = [a.data.decode(errors="replace") for a in reader.attachments if a.name == CONFIG_ATTACHMENT]
-    return parse(texts[0], f"{CONFIG_ATTACHMENT} in the log") if texts else Config()
 
 
 def _sparse(config: Config) -> Config:

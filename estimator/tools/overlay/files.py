@@ -6,10 +6,9 @@ from typing import NamedTuple
 
 from calib.errors import CalibrationError
 from calib.files.formats import load_cameras
-from estimator.config import Config, ConfigError, parse, read
+from estimator.config import Config, ConfigError, read, recorded
 from estimator.map_files import store as map_store
 from logs.store.reader import Attachment
-from logs.store.recorder import CONFIG_ATTACHMENT
 from models.camera import StereoRig
 from models.maps.landmarks import LandmarkMap
 from models.maps.table import Defaults, MapError
@@ -29,10 +28,7 @@ class Scenery(NamedTuple):
 
 def configuration(log: Path, attachments: list[Attachment], given: Path | None) -> Config:
     """Configuration of a flight: the given file, else attached, else defaults."""
-    if given is not None:
-        return read(given)
-    text = next((a.data for a in attachments if a.name == CONFIG_ATTACHMENT), b"")
-    return parse(text.decode("utf-8", "replace"), f"{log}, {CONFIG_ATTACHMENT}")
+    return recorded(attachments, str(log)) if given is None else read(given)
 
 
 def scenery(

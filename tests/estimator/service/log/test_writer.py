@@ -203,11 +203,12 @@ def test_a_folder_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
         until(lambda: log.state.state.startswith("failed"), "it says so")
 
 
-def test_images_make_room_for_newer_ones_and_inputs_for_nothing(tmp_path: Path) -> None:
+def test_images_make_room_for_newer_ones_and_inputs_for_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A disk that does not take anything: the folder's name is that of a file."""
     blocked = tmp_path / "logs"
     blocked.write_text("")
-    with _writer(blocked, image_queue_mb=1.0) as log:
+    monkeypatch.setattr(writer, "_IMAGES_LIMIT", 1_000_000)
+    with _writer(blocked) as log:
         until(lambda: log.state.state.startswith("failed"), "the disk takes nothing")
         for k in range(100):
             log.put_image(Arrival("/left/image", schemas.IMAGE, k.to_bytes(8, "little") * 5000, T0 + k))

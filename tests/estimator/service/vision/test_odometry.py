@@ -26,10 +26,10 @@ def test_it_answers_with_increments(tmp_path: Path) -> None:
     """Two pairs 1 s apart while the estimate moves as they do: request, report and increment; one pair alone asks nothing."""
     save_rig(tmp_path / "rig.yaml", scene.RIG)
     clock, track, heard = Clock(), Track(), list[Encoded]()
-    config = VisualOdometryConfig(enabled=True, longest_s=60.0, timeout_s=120.0)
+    config, patient = VisualOdometryConfig(enabled=True, longest_s=60.0), VisionConfig(timeout_s=120.0)
     sides = {"/left/image": "left", "/right/image": "right"}
     worker = OdometryWorker(
-        tmp_path / "rig.yaml", config, VisionConfig(), sides, clock, Stamps(clock, ClockConfig()), track, heard.append
+        tmp_path / "rig.yaml", config, patient, sides, clock, Stamps(clock, ClockConfig()), track, heard.append
     )
     try:
         end_s = time.monotonic() + 180.0
