@@ -218,7 +218,7 @@ def lost(stream: Stream) -> Cause | None:
     """An IMU's steps are whole periods, many of them more than one."""
     steps = np.diff(np.unique(stream.t_s))
     period = float(np.quantile(steps, 0.1)) if len(steps) else 0.0
-    if stream.kind != IMU or period <= 0.0:
+    if stream.kind != IMU or period <= 0.0 or batches(stream):
         return None
     ratio = steps[steps < _SILENT_S] / period
     whole = np.round(ratio)

@@ -286,6 +286,13 @@ def test_an_attitude_that_is_not_given_accuses_nobody() -> None:
     assert _found({**streams, "/pose_fix": poses._replace(values=values)}) == []
 
 
+def test_samples_that_come_in_batches_are_not_called_missing() -> None:
+    streams = _sound(0)
+    streams["/imu"], words = _batched(streams["/imu"], np.random.default_rng(0))
+    (what,) = [finding.what for finding in _found(streams) if finding.who == "/imu"]
+    assert words in what
+
+
 def test_poses_that_are_late_by_stamp_and_arrival_are_found_by_the_accelerometer() -> None:
     streams = _sound(0)
     poses = streams["/pose_fix"]
