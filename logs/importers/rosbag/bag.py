@@ -31,7 +31,8 @@ _HEAD_BYTES: Final = 16
 _ACTIVE: Final = ".active"  # NAME.bag.active: of a recorder that was killed
 _COMPRESSED: Final = re.compile(r"^\s*compression_mode:\s*[\"']?(?:file|message)", re.MULTILINE | re.IGNORECASE)
 _MOST_METADATA: Final = 500_000  # bytes; YAML is parsed at 50 kB a second
-_FAILURES: Final = (rosbag1.ReaderError, rosbag2.ReaderError, apsw.Error, OSError, ValueError, KeyError)
+# MemoryError: rosbags asks for as many bytes as a damaged header declares, up to 4 GiB
+_FAILURES: Final = (rosbag1.ReaderError, rosbag2.ReaderError, apsw.Error, OSError, ValueError, KeyError, MemoryError)
 
 
 _IN_CDR: Final = (
@@ -213,4 +214,6 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 
 
 def _words(error: Exception) -> str:
+    if isinstance(error, MemoryError):
+        return "a record declares more content than there is"
     return " ".join(str(error).split()) or type(error).__name__

@@ -2,6 +2,8 @@
 
 import os
 import struct
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -234,6 +236,27 @@ def test_metadata_that_nobody_writes_are_passed_over(
     place(bag / "metadata.yaml")
     _, log = imported(bag, tmp_path / "flight.mcap")
     assert bytes_of(log) == bytes_of(records)
+
+
+_LIMITED = """
+import resource, sys
+from pathlib import Path
+from logs.importers import convert
+from logs.store.reader import LogError
+resource.setrlimit(resource.RLIMIT_AS, (2**31, 2**31))
+try:
+    convert("rosbag", Path(sys.argv[1]), Path(sys.argv[2]))
+except LogError as error:
+    print(error)
+"""
+
+
+def test_a_header_of_2_gib_is_refused_within_less_memory(tmp_path: Path) -> None:
+    bag = tmp_path / "a.bag"
+    bag.write_bytes(b"#ROSBAG V2.0\n\xff\xff\xff\x7f" + bytes(100))
+    words = [sys.executable, "-c", _LIMITED, str(bag), str(tmp_path / "o.mcap")]
+    said = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    assert said.endswith("a.bag: cannot be read as a ROS 1 bag: a record declares more content than there is\n")
 
 
 def test_the_files_of_a_folder_are_one_flight_in_the_order_of_their_numbers(records: list[Record], tmp_path: Path) -> None:
