@@ -350,6 +350,7 @@ class Fusion:
                 jump = self._jump(last, lead, covariance, t_ns, is_aligned=tracker.core.is_aligned)
             if jump is not None:
                 self._reset_counter += 1
+                self._integrity.at_once()
                 p, v, theta = vec3(jump[E.P]), vec3(jump[E.V]), vec3(so3.matrix(lead.x[X.Q]) @ jump[E.THETA])
                 out.append(Reset(t_ns, arrived_ns, self._reset_counter, p, v, theta))
             mode = tracker.mode(self._history.samples.newest_ns, t_ns)

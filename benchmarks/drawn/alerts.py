@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 
 from benchmarks.drawn.faults import KINDS
-from benchmarks.drawn.rates import NONE, Flown
+from benchmarks.drawn.rates import AIDS, NONE, Flown
 from benchmarks.integrity.rows import LIMITS
 from benchmarks.tables import Table
 from models.messages import Alert, Integrity
@@ -21,6 +21,7 @@ class Alerts(msgspec.Struct, frozen=True):
     """
 
     kind: str
+    aids: str
     flights: int
     passed: int
     alerted: int
@@ -31,20 +32,21 @@ class Alerts(msgspec.Struct, frozen=True):
 
 
 def alerts(flown: Sequence[Flown]) -> list[Alerts]:
-    """A line a kind, the flights without a fault first."""
-    groups = {NONE: [f for f in flown if not f.faults]} | {
-        k: [f for f in flown if any(x.kind == k for x in f.faults)] for k in KINDS
-    }
-    return [_line(kind, some) for kind, some in groups.items() if some]
+    """A line a kind and sources, the flights without a fault first, by vehicle, rate of the fixes, and outage."""
+    names = sorted({f.vehicle for f in flown})
+    groups = {(f"{NONE}, {v}", a): [f for f in flown if (f.vehicle, f.aids, f.faults) == (v, a, ())] for a in AIDS for v in names}
+    groups |= {(k, a): [f for f in flown if f.aids == a and any(x.kind == k for x in f.faults)] for k in KINDS for a in AIDS}
+    return [_line(kind, aids, some) for (kind, aids), some in groups.items() if some]
 
 
-def _line(kind: str, some: Sequence[Flown]) -> Alerts:
+def _line(kind: str, aids: str, some: Sequence[Flown]) -> Alerts:
     delays = [a for f in some for a in f.row.alerts_s]
     cautions = [s for f in some for fault, s in zip(f.faults, f.cautions_s, strict=False) if fault.kind == kind and s is not None]
     regions = [r for f in some for r in (f.row.horizontal, f.row.vertical) if r is not None]
     hours = sum(f.row.hours for f in some)
     return Alerts(
         kind=kind,
+        aids=aids,
         flights=len(some),
         passed=len(delays),
         alerted=sum(_in_time(s) for s in delays),
@@ -73,16 +75,18 @@ def cautions(levels: Sequence[Integrity], spans_ns: Sequence[tuple[int, int]]) -
 
 def table(flown: Sequence[Flown]) -> Table:
     """As a person reads it."""
-    good, faults = in_time_or_covered(flown)
+    parts = [[f for f in flown if f.is_bounded is covered] for covered in (True, False)]
+    (good, faults), (others, unbounded) = map(in_time_or_covered, parts)
     rows = [
         (
-            a.kind, str(a.flights), str(a.passed), str(a.alerted), str(a.covered),
+            a.kind, a.aids, str(a.flights), str(a.passed), str(a.alerted), str(a.covered),
             "-" if a.caution_s is None else f"{a.caution_s:.1f}", f"{100.0 * a.available:.1f}", f"{a.false_per_hour:.1f}",
         )
         for a in alerts(flown)
     ]  # fmt: skip
     columns = (
-        "kind", "flights", "error passes 10 m", f"alert within {LIMITS.time_to_alert_s:g} s", "level covers all",
+        "kind", "sources", "flights", "error passes 10 m", f"alert within {LIMITS.time_to_alert_s:g} s", "level covers all",
         "fault to caution, median s", "available, %", "false alerts an hour",
     )  # fmt: skip
-    return Table(f"Alerts: {good} of {faults} faults in time or covered", columns, rows)
+    title = f"{good} of {faults} faults that the table bounds in time or covered, {others} of {unbounded} on flights with another"
+    return Table(f"Alerts: {title}", columns, rows)

@@ -3,42 +3,56 @@
     P(event in a flight) = 1/N sum_k w_k x_k        x_k: 1 where flight k had an event; unbiased, for E_q[w x] = E_p[x]
     ESS = (sum w)^2 / sum w^2
 
-The bound is by strata (no fault, each kind alone, several): the nominal probability of the stratum times the Clopper-Pearson
-bound of the share of its flights with an event. A stratum that was never drawn counts with its whole probability.
+The bound is by strata (no fault; each kind alone, bounded by the fault table or not; several): the nominal probability of the
+stratum times the Clopper-Pearson bound of the share of its flights with an event. A stratum that was never drawn counts whole.
 """
 
 import math
 from collections.abc import Sequence
+from typing import Final
 
 import msgspec
 
-from benchmarks.drawn.faults import KINDS, Fault, nominal
+from benchmarks.drawn.faults import Fault, kinds_of, nominal, within
+from benchmarks.drawn.lockout import Lockout
 from benchmarks.integrity.report import bound
 from benchmarks.integrity.rows import Row
 
-NONE, SEVERAL = "no fault", "several faults"
+NONE, SEVERAL, UNBOUNDED = "no fault", "several faults", ", not bounded"
+AIDS: Final = ("fixes", "both")
 
 
 class Flown(msgspec.Struct, frozen=True):
     """A drawn flight; row: what the campaign counts of it; cautions_s: from each fault to an alert, None: none while it lasts."""
 
     seed: int
+    program: str
     vehicle: str
+    aids: str
     duration_s: float
     faults: tuple[Fault, ...]
     weight: float
     row: Row
     cautions_s: tuple[float | None, ...] = ()
+    locked: Lockout | None = None
 
     @property
     def stratum(self) -> str:
         """Its faults in a word."""
-        return NONE if not self.faults else self.faults[0].kind if len(self.faults) == 1 else SEVERAL
+        if len(self.faults) != 1:
+            return SEVERAL if self.faults else NONE
+        (fault,) = self.faults
+        return fault.kind + ("" if fault.bounded(self.aids) else UNBOUNDED)
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether the fault table bounds all of its faults."""
+        return all(f.bounded(self.aids) for f in self.faults)
 
     @property
     def has_event(self) -> bool:
-        """Whether the error was above the level at 1e-5 per hour."""
-        return self.row.events[1] > 0
+        """Whether the error was above the level at 1e-5 per hour while the state was usable."""
+        return self.row.misled > 0
 
 
 class Stratum(msgspec.Struct, frozen=True):
@@ -54,8 +68,11 @@ class Stratum(msgspec.Struct, frozen=True):
 
 
 class Rate(msgspec.Struct, frozen=True):
-    """per_hour: estimate and its standard error; at_most: sum over the strata; ess: of the weights; hours: flown."""
+    """Of flights with the same sources. per_hour: estimate and its standard error; at_most: sum over the strata; of it the faults
+    that the table bounds, and the others; ess: of the weights; hours: flown.
+    """
 
+    aids: str
     flights: int
     hours: float
     per_hour: float
@@ -63,35 +80,46 @@ class Rate(msgspec.Struct, frozen=True):
     ess: float
     at_most: float
     faults_at_most: float
+    unbounded_at_most: float
     strata: tuple[Stratum, ...]
 
 
+def rates(flown: Sequence[Flown]) -> list[Rate]:
+    """For each set of sources."""
+    return [rate([f for f in flown if f.aids == aids]) for aids in AIDS if any(f.aids == aids for f in flown)]
+
+
 def rate(flown: Sequence[Flown]) -> Rate:
-    """Of flights of one duration; at_most holds for all strata together at 95 % each."""
-    hours = flown[0].duration_s / 3600.0
+    """Of flights of one duration and the same sources; the bounds hold at 95 % for each stratum."""
+    aids, hours = flown[0].aids, flown[0].duration_s / 3600.0
     terms = [f.weight * f.has_event for f in flown]
     mean = math.fsum(terms) / len(terms)
     spread = math.sqrt(math.fsum((t - mean) ** 2 for t in terms) / max(len(terms) - 1, 1) / len(terms))
     weights = [f.weight for f in flown]
-    strata = tuple(_stratum(name, p, flown, hours) for name, p in probabilities(flown[0].duration_s).items())
+    strata = tuple(_stratum(name, p, flown, hours) for name, p in probabilities(aids, flown[0].duration_s).items())
     return Rate(
+        aids=aids,
         flights=len(flown),
         hours=hours * len(flown),
         per_hour=mean / hours,
         error=spread / hours,
         ess=math.fsum(weights) ** 2 / math.fsum(w * w for w in weights),
         at_most=math.fsum(s.per_hour for s in strata),
-        faults_at_most=math.fsum(s.per_hour for s in strata if s.name != NONE),
+        faults_at_most=math.fsum(s.per_hour for s in strata if s.name != NONE and UNBOUNDED not in s.name),
+        unbounded_at_most=math.fsum(s.per_hour for s in strata if UNBOUNDED in s.name),
         strata=strata,
     )
 
 
-def probabilities(duration_s: float) -> dict[str, float]:
+def probabilities(aids: str, duration_s: float) -> dict[str, float]:
     """Nominal probability of each stratum; they sum to 1."""
-    p = {kind: nominal(kind, duration_s) for kind in KINDS}
+    p = {kind: nominal(kind, aids, duration_s) for kind in kinds_of(aids)}
     none = math.prod(1.0 - x for x in p.values())
-    alone = {kind: none * x / (1.0 - x) for kind, x in p.items()}
-    return {NONE: none, **alone, SEVERAL: max(0.0, 1.0 - none - math.fsum(alone.values()))}
+    found = {NONE: none}
+    for kind, x in p.items():
+        alone, share = none * x / (1.0 - x), within(kind, aids)
+        found |= {name: y for name, y in ((kind, alone * share), (kind + UNBOUNDED, alone * (1.0 - share))) if y > 0.0}
+    return found | {SEVERAL: max(0.0, 1.0 - math.fsum(found.values()))}
 
 
 def _stratum(name: str, p: float, flown: Sequence[Flown], hours: float) -> Stratum:

@@ -1,12 +1,13 @@
 """The evidence pack of `landfix evidence`.
 
-pack.md is the document; drawn.json, alerts.json, campaign.json and versions.json hold its numbers. The drawn campaign is flown
-for so many hours of flight (its seeds make the same flights on any machine of one type); the campaign of docs/integrity_runs.csv
-is counted as it stands there.
+pack.md is the document; drawn.json, campaign.json and versions.json hold its numbers, stanford.png and fault_tree.svg its
+pictures. The drawn campaign is flown for so many hours of flight (its seeds make the same flights on any machine of one type);
+the campaign of docs/integrity_runs.csv is counted as it stands there.
 """
 
 import json
 import platform
+import shutil
 from collections.abc import Sequence
 from hashlib import sha256
 from importlib import metadata
@@ -15,32 +16,33 @@ from typing import Any
 
 import msgspec
 
-from benchmarks.drawn.__main__ import fly
-from benchmarks.drawn.__main__ import report as report_of
-from benchmarks.drawn.alerts import alerts
+from benchmarks.drawn.__main__ import SECONDS, fly_all, summary
+from benchmarks.drawn.__main__ import report as drawn_report
 from benchmarks.drawn.faults import FAULTS_A_FLIGHT, KINDS, RATES
-from benchmarks.drawn.rates import Flown, Rate, rate
+from benchmarks.drawn.rates import AIDS, Flown
 from benchmarks.evidence.requirements import REQUIREMENTS
 from benchmarks.flights.tasks import ROOT
+from benchmarks.integrity.pictures import draw
 from benchmarks.integrity.record import RECORD, added
-from benchmarks.integrity.report import summary
-from benchmarks.jobs import run_jobs
+from benchmarks.integrity.report import summary as campaign_summary
 from benchmarks.tables import Table
 from estimator.integrity.config import IntegrityConfig
 from estimator.tools.fleet.flight import code
 from estimator.version import version
 
-_SECONDS = 120.0
+_PAGE = ROOT / "docs" / "integrity.md"
+_TREE = ROOT / "docs" / "images" / "integrity_faults.svg"
 _STANDARDS = (
     (
-        "SORA (JARUS)",
-        "integrity and assurance of a mitigation are argued by the operator, from PL-1 to PL-6",
-        "nothing is assessed",
+        "SORA 2.5 (JARUS; EASA AMC to Article 11 of Regulation (EU) 2019/947)",
+        "integrity and assurance (low, medium, high) of a mitigation or a safety objective are argued by the operator; a pack "
+        "like this one is an input to the argument",
+        "no level of either is claimed",
     ),
     (
-        "EUROCAE ED-12C / RTCA DO-178C",
+        "EUROCAE ED-12C / RTCA DO-178C (EASA AMC 20-115D)",
         "requirements, tests and their tracing have its form",
-        "a level; independence, structural coverage, tool qualification",
+        "a software level; independence, structural coverage, tool qualification",
     ),
     (
         "EUROCAE ED-324 / SAE ARP6983",
@@ -58,42 +60,59 @@ _STANDARDS = (
 def write(folder: Path, hours: float, jobs: int | None = 1, scheduler: str = "", record: Path = RECORD) -> Path:
     """Fly so many hours, those that stand in `folder` already taken from there, and write the pack; its document."""
     folder.mkdir(parents=True, exist_ok=True)
-    seeds = [(seed, _SECONDS) for seed in range(max(1, round(hours * 3600.0 / _SECONDS)))]
-    flown = run_jobs(seeds, fly, Flown, folder / "flights.jsonl", processes=jobs, resume=True, scheduler=scheduler)
-    found = rate(flown)
-    campaign = summary(added([], record))
-    _save(folder / "drawn.json", msgspec.to_builtins(found))
-    _save(folder / "alerts.json", msgspec.to_builtins(alerts(flown)))
+    seeds = range(max(1, round(hours * 3600.0 / SECONDS)))
+    flown = fly_all(seeds, folder / "flights.jsonl", jobs, scheduler)
+    campaign = campaign_summary(added([], record))
+    _save(folder / "drawn.json", summary(flown))
     _save(folder / "campaign.json", {"record_sha256": _digest(record), "summary": campaign.splitlines()})
     _save(folder / "versions.json", versions())
-    (folder / "pack.md").write_text(document(found, flown, campaign, hours), encoding="utf-8")
+    draw(_panels(flown), folder / "stanford.png")
+    shutil.copy(_TREE, folder / "fault_tree.svg")
+    (folder / "pack.md").write_text(document(flown, campaign, hours), encoding="utf-8")
     return folder / "pack.md"
 
 
-def document(found: Rate, flown: Sequence[Flown], campaign: str, hours: float) -> str:
+def _panels(flown: Sequence[Flown]) -> dict[str, list[Any]]:
+    parts = {
+        f"{said}, {aids}": [f.row for f in flown if f.aids == aids and bool(f.faults) is faulty and f.is_bounded is bounded]
+        for aids in AIDS
+        for said, faulty, bounded in (("no fault", False, True), ("bounded", True, True), ("not bounded", True, False))
+    }
+    return {name: rows for name, rows in parts.items() if any(r.cells for r in rows)}
+
+
+def document(flown: Sequence[Flown], campaign: str, hours: float) -> str:
     """The pack as one page of Markdown."""
-    beyond = sorted({f.stratum for f in flown if f.has_event})
+    beyond = sorted({f"{f.stratum} (sources {f.aids})" for f in flown if f.has_event})
     causes = [(kind, k.cause, f"{RATES[k.cause]:g}", f"{k.sizes[0]:g} to {k.sizes[1]:g} {k.unit}") for kind, k in KINDS.items()]
     traced = [(r.name, r.text, ", ".join(r.tests), r.result or "the tests") for r in REQUIREMENTS]
     return "\n".join((
         "# Evidence for the protection levels",
-        f"landfix {version()}, program {code()}. Drawn: {found.flights} flights, {found.hours:.2f} h.",
+        f"landfix {version()}, program {code()}. Drawn: {len(flown)} flights of {SECONDS:g} s.\n",
         "## Claim",
         "While the state is `usable`, the position error exceeds the protection level at most at the configured risk per hour, "
         "for the faults and rates below. Counting does not show 1e-5 per hour; the claim rests on the fault table and its rates, "
-        "and the flights fail or do not fail to contradict it.",
+        "and the flights fail or do not fail to contradict it.\n",
         f"**Not covered**: {', '.join(beyond) if beyond else 'no stratum of the drawn flights had an event'}; "
-        "kinds that were not drawn; sizes beyond the ranges drawn; sources that fail together.",
+        "kinds that were not drawn; sizes beyond the ranges drawn; sources that fail together.\n",
         "## Assumptions",
         assumptions().markdown(),
-        "## Faults and rates",
+        "## Fault tree and rates",
+        "![Fault tree](fault_tree.svg)\n",
+        fault_table(_PAGE.read_text(encoding="utf-8")),
+        "## Faults drawn",
         Table("The rate of a cause is shared by its kinds", ("kind", "cause", "1/h of the cause", "sizes"), causes).markdown(),
         "## Method",
-        f"Each flight has {FAULTS_A_FLIGHT:g} faults on average, far more than nominally. Its weight is the ratio of the nominal "
-        "and the drawn probability of what it has; the weighted share of flights with an event is the nominal one. The bound is "
-        "by strata: nominal probability times the Clopper-Pearson bound (95 %) of the share with an event.",
+        f"Vehicle, manoeuvres, sources, rate of the fixes, an outage, and {FAULTS_A_FLIGHT:g} faults on average, far more than "
+        "nominally, are drawn from a flight's seed. Its weight is the ratio of the nominal and the drawn probability of what "
+        "it has: w = product of p/q of each kind that it has and (1 - p)/(1 - q) of each that it has not. The sum of the weights "
+        "of flights with an event, divided by the number of flights, is the nominal share. The bound is by strata: nominal "
+        "probability times the Clopper-Pearson bound (95 %) of the share with an event (about 3 / flights where there is none). "
+        "By hand: 3e-5 of the flights have one kind, 60 flights with it had no event, so at most 3e-5 x 0.049 = 1.5e-6 a flight "
+        "of 120 s, 4.4e-5 an hour.\n",
         "## Results: drawn faults",
-        report_of(found, flown),
+        drawn_report(flown),
+        "![Stanford plots: error against protection level](stanford.png)\n",
         "## Results: the campaign so far",
         campaign,
         "## Traceability",
@@ -106,6 +125,14 @@ def document(found: Rate, flown: Sequence[Flown], campaign: str, hours: float) -
         "the tests; versions.json has hashes.",
         "",
     ))  # fmt: skip
+
+
+def fault_table(page: str) -> str:
+    """The fault table of docs/integrity.md, with its rates and their sources."""
+    lines = page.splitlines()
+    begin = next(k for k, line in enumerate(lines) if line.startswith("| fault |"))
+    end = next(k for k in range(begin, len(lines)) if not lines[k].startswith("|"))
+    return "\n".join([*lines[begin:end], ""])
 
 
 def assumptions() -> Table:

@@ -31,7 +31,10 @@ REQUIREMENTS: Final = (
     Requirement(
         "PL-3",
         "Sources that disagree are covered by the level within a second.",
-        (f"{_I}/test_monitor.py::test_sources_that_disagree_are_not_used_within_a_second_and_the_bound_covers_both",),
+        (
+            f"{_I}/test_monitor.py::test_sources_that_disagree_are_not_used_within_a_second_and_the_bound_covers_both",
+            f"{_I}/test_monitor.py::test_it_comes_at_once_with_a_position_that_is_off",
+        ),
         "drawn.json",
     ),
     Requirement(

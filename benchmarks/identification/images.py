@@ -36,7 +36,6 @@ PRIORS_M = (5.0, 10.0, 20.0)
 ATTITUDE_SIGMA_DEG = (1.0, 1.0, 2.0)
 SLACK_PX = 5.0
 LAYOUTS: tuple[Layout, ...] = ("lookalikes", "village", "grid")
-HEIGHTS_M = ((50.0, 60.0), (60.0, 70.0), (70.0, 80.0), (80.0, 90.0))
 Job = tuple[Layout, float, bool, int, int, int]  # prior [m], one camera, seed, cell, world
 
 
@@ -134,25 +133,9 @@ COLUMNS = (
 Cells = dict[tuple[Layout, float], list[Outcome]]
 
 
-def accepted(outcomes: list[Outcome]) -> tuple[int, int]:
-    """Pairs with 3 regions or more: how many gave a fix, of how many."""
-    several = [o for o in outcomes if o.regions >= 3]
-    return sum(o.outcome == "fixed" for o in several), len(several)
-
-
 def at_most(events: int, trials: int) -> str:
     """Upper end of the 95 % interval of a rate of rare events (Poisson): chi2_0.95(2 k + 2) / 2 n."""
     return f"{50.0 * chi2.ppf(0.95, 2 * events + 2) / max(trials, 1):.2g} %"
-
-
-def height_table(cells: Cells) -> Table:
-    """Acceptance by height: the higher, the more roofs are in view."""
-    rows = []
-    for (layout, prior_m), outcomes in cells.items():
-        bands = [accepted([o for o in outcomes if low <= o.height_m < high]) for low, high in HEIGHTS_M]
-        rows.append((f"{layout}, prior {prior_m:.0f} m", *(f"{share(*band)} of {band[1]}" for band in bands)))
-    columns = ("world", *(f"{low:.0f}-{high:.0f} m" for low, high in HEIGHTS_M))
-    return Table("Pairs with 3 regions or more that gave a fix, by height", columns, rows)
 
 
 def report(cells: Cells, cameras: str) -> str:
@@ -164,7 +147,6 @@ def report(cells: Cells, cameras: str) -> str:
     named, wrong = sum(o.identified for o in everything), sum(o.wrong for o in everything)
     return "\n".join([
         table.markdown(),
-        height_table(cells).markdown(),
         f"wrong fixes: {wrong_fixes} of {fixes} accepted, with 95 % at most {at_most(wrong_fixes, fixes)}; "
         f"wrong identities: {wrong} of {named}, at most {at_most(wrong, named)}",
         "outcomes: " + ", ".join(f"{name} {n}" for name, n in Counter(o.outcome for o in everything).most_common()) + "\n",

@@ -3,7 +3,7 @@ benchmarks.identification.numbers`.
 
 Wrong fix: off by more than 3 m and outside its 99.99 % ellipsoid. Wrong identity: another landmark, or none. Beside it the
 thesis' rule: the most similar landmark within the prior's 99.99 %, if >= 75 % similar. Objects of +-10 %, 25 m apart, 30 % not in
-the map, 10 % of it gone. Writes identification.md and .png to --out.
+the map, 10 % of it gone. Writes identification.md to --out.
 """
 
 import argparse
@@ -12,14 +12,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
 
-import matplotlib.pyplot as plt
 import msgspec
 import numpy as np
 
 from benchmarks.identification.worlds import RIG, Conditions, Frame, draw_error, draw_pose, draw_world, observe
 from benchmarks.tables import Table, number
 from vision.identify.catalogue import Catalogue, catalogue
-from vision.identify.constellation import Constellation
 from vision.identify.identify import Identification, IdentifyConfig, identify
 from vision.identify.likelihood import similarities
 
@@ -132,58 +130,11 @@ def row(name: str, outcomes: Sequence[Outcome]) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-def sequences(name: str, conditions: Conditions, count: int, seed: int, images: int = 4, step_m: float = 12.0) -> tuple[str, ...]:
-    """Flights of a few images a second apart, regions that stay open waiting for the next: share fixed after each image.
-
-    The prior's error stays the same but for a drift of 0.3 m a second, as in dead reckoning.
-    """
-    rng, fixed_at = np.random.default_rng(seed), [0] * images
-    identified = wrong = wrong_fixes = 0
-    for k in range(count):
-        if k % FRAMES_PER_WORLD == 0:
-            world = draw_world(rng, conditions)
-        p_n, q_nb = draw_pose(rng, conditions)
-        heading, error, memory = rng.uniform(-np.pi, np.pi), draw_error(rng, conditions), Constellation()
-        for image in range(images):
-            frame = observe(rng, world, p_n, q_nb, error, conditions)
-            frame.prior.covariance[range(3), range(3)] += image * 0.3**2
-            near = catalogue(world.map.near(frame.prior.p_n[0], frame.prior.p_n[1], 4.0 * conditions.prior_sigma_m + 70.0))
-            t_ns = image * 1_000_000_000
-            remembered = memory.recall(frame.sightings, t_ns, frame.prior)
-            found = identify([*frame.sightings, *remembered], near, frame.prior, RIG, frame.scale_sigma, CONFIG)
-            now = found.accepted[: len(frame.sightings)]
-            if found.position_posterior >= CONFIG.fix_posterior and now.any():
-                named = [near.ids[j] if j >= 0 else None for j in found.landmark]
-                wrong += sum(n != t for n, t, a in zip(named, frame.truth, now, strict=False) if a)
-                identified += int(now.sum())
-                wrong_fixes += is_wrong(frame, found)
-                fixed_at[image] += 1
-                break
-            memory.hold(frame.sightings, remembered, t_ns, frame.prior)
-            p_n = p_n + step_m * np.array([np.cos(heading), np.sin(heading), 0.0])
-            error = error + np.concatenate([rng.normal(0.0, 0.3, 3), np.zeros(3)])
-    shares = [share(sum(fixed_at[: k + 1]), count) for k in range(images)]
-    return (name, str(count), *shares, str(wrong_fixes), str(identified), str(wrong))
-
-
 COLUMNS = ("world", "frames", "fixed", "wrong fixes", "identified", "wrong", "alone: wrong ids", "alone: off > 3 m", "ms")
 
 
 def share(part: int, whole: int) -> str:
     return f"{100.0 * part / whole:.1f} %" if whole else "-"
-
-
-def acceptance_table(results: dict[str, list[Outcome]]) -> Table:
-    """Share of frames fixed, by the number of regions in view."""
-    bins = ((3, 3), (4, 4), (5, 5), (6, 7), (8, 99))
-    rows = []
-    for name, outcomes in results.items():
-        cells = []
-        for low, high in bins:
-            inside = [o.fixed for o in outcomes if low <= o.regions <= high]
-            cells.append(f"{share(sum(inside), len(inside))} of {len(inside)}" if inside else "-")
-        rows.append((name, *cells))
-    return Table("Frames fixed, by number of regions", ("world", "3", "4", "5", "6-7", "8 or more"), rows)
 
 
 def calibration(posterior: Sequence[float], right: Sequence[bool]) -> list[tuple[float, float, float, int]]:
@@ -214,35 +165,6 @@ def calibration_table(title: str, bins: Sequence[tuple[float, float, float, int]
     return Table(title, ("claimed", "measured", "regions"), rows)
 
 
-def draw(results: dict[str, list[Outcome]], path: Path) -> None:
-    """Acceptance over the number of regions; claimed against measured probability of being wrong."""
-    fig, (left, right) = plt.subplots(1, 2, figsize=(11.0, 4.4), layout="constrained")
-    colours = {5.0: "#0072B2", 10.0: "#009E73", 20.0: "#D55E00"}
-    for name, outcomes in results.items():
-        c = WORLDS[name]
-        counts = [n for n in range(3, 11) if sum(o.regions == n for o in outcomes) >= 10]
-        rate = [np.mean([o.fixed for o in outcomes if o.regions == n]) for n in counts]
-        left.plot(counts, rate, "o-" if c.layout == "random" else "s--", color=colours[c.prior_sigma_m], ms=4, label=name)
-    left.axhline(0.5, color="0.6", lw=0.8)
-    left.set(xlabel="regions in view", ylabel="share of frames with a fix", ylim=(0.0, 1.02), title="Acceptance")
-    left.legend(fontsize=8)
-    table = np.array(identities([o for outcomes in results.values() for o in outcomes]))
-    low = np.maximum(table[:, 1] - table[:, 2], 1e-7)
-    seen = table[:, 1] > 0.0
-    right.plot([1e-6, 1.0], [1e-6, 1.0], color="0.6", lw=0.8)
-    right.errorbar(
-        table[seen, 0], table[seen, 1], [table[seen, 1] - low[seen], table[seen, 2]], fmt="o", color="black", ms=4, capsize=2
-    )
-    right.plot(table[~seen, 0], 1.0 / table[~seen, 3], "v", color="0.4", ms=6, label="none wrong: 1 / regions")
-    right.set(xscale="log", yscale="log", xlabel="claimed probability of being wrong", ylabel="measured", title="Calibration")
-    if not seen.all():
-        right.legend(fontsize=8)
-    for axes in (left, right):
-        axes.grid(visible=True, alpha=0.25)
-    fig.savefig(path, dpi=130)
-    plt.close(fig)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seed", type=int, default=0)
@@ -257,13 +179,10 @@ def main() -> None:
         print(f"{name}: done", flush=True)
     everything = [o for outcomes in results.values() for o in outcomes]
     rows = [row(name, outcomes) for name, outcomes in results.items()]
-    tables = [Table("Worlds of look-alikes", COLUMNS, [*rows, row("all", everything)]), acceptance_table(results)]
+    tables = [Table("Worlds of look-alikes", COLUMNS, [*rows, row("all", everything)])]
     title = "Probability of a wrong identity (most probable landmark of a region)"
     tables.append(calibration_table(title, identities(everything)))
     tables.append(calibration_table('Probability that "not in the map" is wrong', absences(everything)))
-    rows = [sequences(name, c, args.frames // 2, args.seed * 100 + 30 + k) for k, (name, c) in enumerate(WORLDS.items())]
-    columns = ("world", "flights", "after 1", "2", "3", "4 images", "wrong fixes", "identified", "wrong")
-    tables.append(Table("Flights over any number of regions, open ones waiting for the next image: fixed by then", columns, rows))
     if args.stress:
         rows = []
         for k, (name, change) in enumerate(STRESS.items()):
@@ -274,8 +193,6 @@ def main() -> None:
     text = "\n".join(table.markdown() for table in tables)
     print(text)
     (args.out / "identification.md").write_text(text)
-    draw(results, args.out / "identification.png")
-    print(f"plot: {args.out / 'identification.png'}")
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ from benchmarks.identification.numbers import WORLDS
 from benchmarks.integrity.pictures import draw
 from benchmarks.integrity.record import RECORD, added, not_yet
 from benchmarks.integrity.rendered import LIGHTS
-from benchmarks.integrity.report import groups_table, summary, table
+from benchmarks.integrity.report import groups, groups_table, summary, table
 from benchmarks.integrity.rows import Row
 from benchmarks.integrity.runs import Job, run
 from benchmarks.jobs import results_in, run_jobs
@@ -45,7 +45,7 @@ def main() -> None:
     found = "\n".join(t.markdown() for t in (groups_table(rows), table(rows)))
     text = f"{summary(rows)}\nAll of {args.record.name}:\n\n{summary(known)}\n{found}"
     (args.out / "report.md").write_text(text)
-    draw(rows, args.out / "stanford.png")
+    draw(groups(rows), args.out / "stanford.png")
     print(text)
     print(f"{args.out}/report.md, rows.jsonl, stanford.png")
 

@@ -1,6 +1,6 @@
-"""Stanford plots of the campaign, a panel for each group: error against protection level, counts of the four regions."""
+"""Stanford plots, a panel for each group of flights: error against protection level, counts of the four regions."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from benchmarks.integrity.report import GROUPS, group_of
 from benchmarks.integrity.rows import INFINITE, LIMITS, STEP, Row
 
 _LOW_M, _HIGH_M = 0.01, 2000.0
@@ -22,9 +21,9 @@ _NORM: Final = LogNorm(1.0, 1e4)
 _COLOURS: Final = mpl.colormaps["Blues"].resampled(256)
 
 
-def draw(rows: Sequence[Row], path: Path) -> None:
+def draw(groups: Mapping[str, Sequence[Row]], path: Path) -> None:
     """The panels that have flights, PNG."""
-    panels = [(name, some) for name in GROUPS if (some := [r for r in rows if group_of(r) == name])]
+    panels = [(name, some) for name, some in groups.items() if some]
     if not panels:
         return
     lines = -(-len(panels) // _COLUMNS)

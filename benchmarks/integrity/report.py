@@ -76,9 +76,13 @@ def groups_table(rows: Sequence[Row]) -> Table:
     """One line for each group; "at most per hour": events above PL(1e-5), upper end at 95 % (3 / hours where there are none)."""
     columns = ("group", "flights", "hours", *_REGIONS, *(f"vertical {r}" for r in _REGIONS), "HPL <= 10 m %", "> PL(1e-5)",
                "at most per hour", "worst e / PL", "far while usable")  # fmt: skip
-    found = {name: [r for r in rows if group_of(r) == name] for name in GROUPS}
     title = "Counts by group; levels at 1e-5 per hour, limits 10 m; the rate with 95 %"
-    return Table(title, columns, [_group_line(name, some) for name, some in found.items() if some])
+    return Table(title, columns, [_group_line(name, some) for name, some in groups(rows).items() if some])
+
+
+def groups(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """The flights by group."""
+    return {name: [r for r in rows if group_of(r) == name] for name in GROUPS}
 
 
 def _group_line(name: str, rows: Sequence[Row]) -> tuple[str, ...]:

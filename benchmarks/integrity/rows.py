@@ -23,8 +23,8 @@ class Row(msgspec.Struct, frozen=True):
     events: errors above the level at 1e-3, 1e-5, 1e-7 per hour, on either axis, those 10 s apart or more; hazards: errors above
     the alert limit while the state is usable; alerts_s, stops_s: from the error passing the limit to a state other than usable,
     and to "do not use" (None: not before it came back); false_alerts: times that it ceases to be usable while the error stays
-    within the limit; worst: largest error / level at 1e-5; cells: error, level (in STEP
-    decades), how many; fixes, wrong: of the identification frames; mistaken: of the wrong ones, those by a wrong identity.
+    within the limit; misled: events at 1e-5 while the state is usable; worst: largest error / level at 1e-5; cells: error, level
+    (in STEP decades), how many; fixes, wrong: of the identification frames; mistaken: those by a wrong identity.
     """
 
     group: str
@@ -41,6 +41,7 @@ class Row(msgspec.Struct, frozen=True):
     alerts_s: tuple[float | None, ...] = ()
     stops_s: tuple[float | None, ...] = ()
     false_alerts: int = 0
+    misled: int = 0
     worst: float = 0.0
     cells: tuple[tuple[int, int, int], ...] = ()
     fixes: int = 0
@@ -58,7 +59,6 @@ def row_of(levels: list[Integrity], t_ns: Times, error: Array) -> Row:
     stamps = np.array([i.t_ns for i in at], np.int64)
     above = [(found.horizontal > h) | (found.vertical > v) for h, v in zip(hpl, vpl, strict=True)]
     usable = np.array([i.state is Alert.USABLE for i in at])
-    period_h = LIMITS.time_to_alert_s / 5.0 / 3600.0
     hal, val = LIMITS.hal_m or math.inf, LIMITS.val_m or math.inf
     too_far = (found.horizontal > hal) | (found.vertical > val)
     far = (np.hypot(error[:, 0], error[:, 1]) > hal) | (np.abs(error[:, 2]) > val)
@@ -66,7 +66,7 @@ def row_of(levels: list[Integrity], t_ns: Times, error: Array) -> Row:
         ratio = np.maximum(found.horizontal / hpl[1], found.vertical / vpl[1])
     return Row(
         "", "", "", 0.0, 0,
-        hours=len(at) * period_h,
+        hours=float(stamps[-1] - stamps[0]) / 3.6e12,
         horizontal=regions(found.horizontal, np.array([i.hpl_m for i in at]), hal, list(hpl)),
         vertical=regions(found.vertical, np.array([i.vpl_m for i in at]), val, list(vpl)),
         events=tuple(_events(stamps[mask]) for mask in above),
@@ -75,6 +75,7 @@ def row_of(levels: list[Integrity], t_ns: Times, error: Array) -> Row:
         alerts_s=tuple(_delays(levels, t_ns, far, {Alert.CAUTION, Alert.DO_NOT_USE})),
         stops_s=tuple(_delays(levels, t_ns, far, {Alert.DO_NOT_USE})),
         false_alerts=_false_alerts(usable, too_far),
+        misled=_events(stamps[above[1] & usable]),
         worst=float(ratio.max()),
         cells=_cells(found.horizontal, hpl[1]),
     )  # fmt: skip

@@ -21,6 +21,7 @@ from estimator.fusion import Fusion
 from logs.evaluation.trajectory import nearest
 from models.messages import Estimate, Input, Integrity
 from models.sim.aids import Gnss, PoseFixes
+from models.sim.ranges import Interval
 from models.sim.scenario import Scenario, simulate
 from models.sim.sensors import Imu
 from models.sim.trajectory import FixedWing, Multirotor
@@ -55,7 +56,8 @@ def run(job: Job) -> Row:
         flight = load_flight(name, KINDS[kind].aids, seed, Path(tasks))
         messages = perturbed(flight, KINDS[kind], size, seed)
     else:
-        flight = recorded(name, kind, seed, Path(tasks)) if group == "real" else village(name, kind, size, seed)
+        vehicle = Multirotor(seed=seed) if name == "rotor" else FixedWing(seed=seed)
+        flight = recorded(name, kind, seed, Path(tasks)) if group == "real" else village(vehicle, kind, size, seed)
         if flight is None:  # too short
             return Row(group, name, kind, size, seed)
         messages = flight.messages
@@ -76,14 +78,21 @@ def recorded(name: str, scenario: str, seed: int, tasks: Path) -> Flight | None:
     return of_task(Task(group, flight, scenario, seed), tasks)
 
 
-def village(vehicle: str, aids: str, seconds: float, seed: int) -> Flight:
-    """Fixes at 0.5 Hz (0.3 m, 1 degree, and 0.3 m that repeat), as over a village that is mapped; aids: "fixes" or "both"."""
+def village(
+    vehicle: Multirotor | FixedWing,
+    aids: str,
+    seconds: float,
+    seed: int,
+    rate_hz: float = 0.5,
+    outages_s: tuple[Interval, ...] = (),
+) -> Flight:
+    """Fixes of 0.3 m, 1 degree, and 0.3 m that repeat, as over a village that is mapped; aids: "fixes" or "both"."""
     scenario = Scenario(
         duration_s=seconds,
-        vehicle=Multirotor(seed=seed) if vehicle == "rotor" else FixedWing(seed=seed),
+        vehicle=vehicle,
         imu=Imu(rate_hz=100.0),
         gnss=Gnss() if aids == "both" else None,
-        pose_fix=PoseFixes(rate_hz=0.5, sigma_m=(0.3, 0.3, 0.3), common_sigma_m=0.3),
+        pose_fix=PoseFixes(rate_hz=rate_hz, sigma_m=(0.3, 0.3, 0.3), common_sigma_m=0.3, outages_s=outages_s),
     )
     made = simulate(scenario, seed)
     t = made.truth

@@ -1,6 +1,7 @@
 """What a message costs, here and in other versions, in turns: by rate of fixes and of GNSS, history, number of IMUs.
 
     python -m benchmarks.speed.cost --trees this=. before=/path/to/worktree --rounds 7 --out out/bench/cost.json
+    python -m benchmarks.speed.cost --trees rare=. this=. limits=. --rounds 7    a level in two minutes, in 2 s, limits
 
 A row is a scene and a version: processor time in us, medians over the rounds, and the median of the ratios to the first version
 in the same round. A worker of each version makes the same flight (level circles, 200 Hz); it imports only what old versions have.
@@ -21,6 +22,7 @@ import msgspec
 import numpy as np
 
 from estimator import fusion
+from estimator.integrity.config import IntegrityConfig
 from models.imu import ImuNoise
 from models.messages import Array, GnssFix, GnssVelocity, ImuSample, Input, PoseFix, Vec3
 
@@ -57,6 +59,8 @@ SCENES = {
     "3 IMUs": Scene(imus=3),
     "GNSS 5 Hz alone, aligning": Scene(0.0, 5.0),
 }
+
+LEVELS = {"rare": IntegrityConfig(time_to_alert_s=60.0), "limits": IntegrityConfig(hal_m=10.0, val_m=10.0)}  # versions
 
 
 def messages(scene: Scene) -> list[Input]:
@@ -112,7 +116,7 @@ def _gnss(t_ns: int, p: Array) -> GnssFix:
     return GnssFix(BEGIN_NS + t_ns, BEGIN_NS + t_ns, lat, lon, PLACE[2] - float(p[2]), 0.25 * np.eye(3))
 
 
-def work(scene: Scene) -> None:
+def work(scene: Scene, levels: str) -> None:
     """At each line of stdin: us of a quiet IMU sample, and of everything per IMU sample of the first IMU."""
     options: dict[str, Any] = {"imu": NOISE, "estimator": fusion.EstimatorConfig(history_s=scene.history_s)}
     if scene.gnss_hz:
@@ -120,6 +124,8 @@ def work(scene: Scene) -> None:
     if scene.imus > 1:
         topics = ("/imu", *(f"/imu{k}" for k in range(1, scene.imus)))
         options |= {"imu_topics": topics, "imu_factors": (1.0,) * (scene.imus - 1)}
+    if levels in LEVELS:
+        options["integrity"] = LEVELS[levels]
     config = fusion.FusionConfig(**options)
     flight = messages(scene)
     _whole_us(config, flight)  # compiles
@@ -161,7 +167,7 @@ def compare(name: str, trees: dict[str, Path], rounds: int) -> list[dict[str, An
     workers = {}
     for version, tree in trees.items():
         environment = os.environ | {"PYTHONPATH": str(tree), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-        command = [sys.executable, str(Path(__file__).resolve()), "--work", name]
+        command = [sys.executable, str(Path(__file__).resolve()), "--work", name, "--levels", version]
         pipe = subprocess.PIPE
         workers[version] = subprocess.Popen(command, cwd=tree, env=environment, stdin=pipe, stdout=pipe, text=True)
     ready = {version: _answer(worker) for version, worker in workers.items()}
@@ -201,9 +207,10 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--out", type=Path, default=Path("out/bench/cost.json"))
     parser.add_argument("--work", choices=SCENES, help=argparse.SUPPRESS)
+    parser.add_argument("--levels", default="", help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.work:
-        work(SCENES[args.work])
+        work(SCENES[args.work], args.levels)
         return
     trees = {version: Path(folder).resolve() for version, folder in (tree.split("=", 1) for tree in args.trees)}
     rows: list[dict[str, Any]] = []

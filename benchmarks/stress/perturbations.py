@@ -275,6 +275,11 @@ def fixes_correlated(flight: Flight, size: float, rng: Rng) -> list[Input]:
     return in_order([*others, *fixes])
 
 
+def fix_scatter(flight: Flight, size: float, rng: Rng) -> list[Input]:
+    """White noise of size m on each axis of the fixes, not in their covariance."""
+    return _fixes(flight, lambda m: _replace(m, p_n=vec3(m.p_n + size * rng.standard_normal(3))))
+
+
 def fix_clock(flight: Flight, size: float, rng: Rng) -> list[Input]:
     """The clock of the fixes gains size ms each second."""
     return in_order([

@@ -24,7 +24,7 @@ class IntegrityConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Meta(
             ge=0.1,
             le=60,
-            description="s: within it an alert is due; five protection levels come in it; without a limit half of one",
+            description="s: within it an alert is due; two protection levels come in it; without a limit half of one",
         ),
     ] = 1.0
     correlation_s: Annotated[

@@ -1,4 +1,8 @@
-"""Protection levels: five in `time_to_alert_s` with an alert limit, else one in twice that."""
+"""Protection levels: two in `time_to_alert_s` with an alert limit, else one in twice that.
+
+One comes at once with a jump of the estimate and, while the state is usable, with a position that is off by more than 3 sigma
+of its innovation.
+"""
 
 import math
 from collections.abc import Callable, Sequence
@@ -15,7 +19,8 @@ from models.messages import AidStatus, Alert, Integrity, Reason
 from models.state import E
 
 RISKS: Final = (1e-3, 1e-5, 1e-7)  # per hour
-_PER_ALERT: Final = 5
+_PER_ALERT: Final = 2
+_OFF_SIGMAS: Final = 3.0
 _USED: Final = frozenset({Reason.FUSED, Reason.ALIGNING})
 _NEVER: Final = -(2**62)
 _UNKNOWN: Final = Levels(math.inf, math.inf)
@@ -60,10 +65,17 @@ class Monitor:
         fused_ns = max(used_ns, last.fused_ns if last else _NEVER)
         if position is not None and (last is None or status.t_ns >= last.t_ns):
             self._positions[status.topic] = Position(status.kind, status.t_ns, *position, fused_ns)
+            off = any(abs(x) > _OFF_SIGMAS * sigma for x, sigma in zip(*position, strict=True))
+            if off and self.last is not None and self.last.state is Alert.USABLE:
+                self.at_once()
         elif last is not None:
             self._positions[status.topic] = last._replace(fused_ns=fused_ns)
         else:
             self._positions[status.topic] = Position(status.kind, _NEVER, (), (), fused_ns)
+
+    def at_once(self) -> None:
+        """Levels are due with the next estimate."""
+        self._next_ns = None
 
     def due(self, t_ns: int) -> bool:
         """Whether levels are due."""

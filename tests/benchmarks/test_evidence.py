@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from benchmarks.drawn.faults import Fault
-from benchmarks.drawn.rates import rate
 from benchmarks.evidence.pack import document
 from benchmarks.evidence.requirements import REQUIREMENTS, Requirement
 from tests.benchmarks.test_drawn import flown
@@ -26,8 +25,9 @@ def test_the_tests_of_a_requirement_exist(requirement: Requirement) -> None:
 def test_what_exceeds_the_level_stands_in_the_first_paragraph() -> None:
     fault = Fault("map north", 10.0, 5.0, 60.0)
     some = [flown(0, (), 2.5, 0), flown(1, (fault,), 1e-5, 1)]
-    text = document(rate(some), some, "- the campaign", 0.1)
-    assert "**Not covered**: map north; kinds that were not drawn" in text
+    text = document(some, "- the campaign", 0.1)
+    assert "**Not covered**: map north (sources both); kinds that were not drawn" in text
     assert text.index("Not covered") < text.index("## Assumptions")
     assert "map north 10 deg from 5 to 60 s" in text
     assert "PL-3" in text
+    assert "the map shifted by up to 3 m" in text  # the fault table of docs/integrity.md

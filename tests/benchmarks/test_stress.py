@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.stress import drawn
 from benchmarks.stress import perturbations as perturb
 from benchmarks.stress.__main__ import jobs
 from benchmarks.stress.cell import Row, Score, landfix, naive, score
@@ -162,20 +161,3 @@ def test_a_run_fails_by_each_criterion() -> None:
     assert failures(row(Score(complete=False), good)) == ["incomplete"]
     alone = Row("GNSS slow error", 1.0, "sim/rotor", 0, worse, good, 0, {})  # the plain filter fuses no GNSS position
     assert failures(alone) == ["overconfident"]
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("number", [2, 18])
-def test_drawn_faults_do_not_lock_true_fixes_out(number: int) -> None:
-    row = drawn.run((number,))
-    assert not row.missed, row
-    assert row.overconfident < 0.05
-
-
-def test_a_lock_out_is_from_the_last_faulty_reading_until_the_error_stays_small() -> None:
-    t_s, off = np.arange(0.0, 20.0, 0.1), np.zeros(200)
-    off[50:80] = 5.0  # 5 s to 8 s
-    off[90:91] = 5.0
-    assert drawn.locked_s(t_s, off, 1.0, 6.0) == pytest.approx(3.1)
-    off[100:] = 5.0
-    assert drawn.locked_s(t_s, off, 1.0, 12.0) is None

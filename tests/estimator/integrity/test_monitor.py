@@ -8,8 +8,22 @@ import pytest
 from estimator.config import parse
 from estimator.fusion import Fusion
 from estimator.integrity.config import IntegrityConfig
+from estimator.integrity.faults import GNSS
 from models.frames import Origin
-from models.messages import Alert, Array, Estimate, GnssFix, Health, Input, Integrity, LandmarkFix, Output, PoseFix, vec3
+from models.messages import (
+    AidStatus,
+    Alert,
+    Array,
+    Estimate,
+    GnssFix,
+    Health,
+    Input,
+    Integrity,
+    LandmarkFix,
+    Output,
+    PoseFix,
+    vec3,
+)
 from models.sim.aids import Gnss, PoseFixes
 from models.sim.scenario import Scenario, simulate
 from models.sim.sensors import Imu
@@ -104,9 +118,12 @@ def test_fixes_along_six_directions_check_a_receiver_as_whole_ones_do() -> None:
     seen, whole = Run(LIMITS, changed=_along_directions(6)), Run(LIMITS, changed=_whole)
     settled = [i for i in seen.integrity if i.t_ns > seen.start_ns + 15 * S]
     assert {i.state for i in settled} == {Alert.USABLE}
-    for t_s in (16.0, 25.0, 38.0):
-        assert seen.at(t_s).hpls_m == pytest.approx(whole.at(t_s).hpls_m, rel=0.02)
-        assert seen.at(t_s).vpls_m == pytest.approx(whole.at(t_s).vpls_m, rel=0.02)
+    at_once = {i.t_ns: i for i in whole.integrity}
+    pairs = [(i, at_once[i.t_ns]) for i in settled if i.t_ns in at_once]
+    assert len(pairs) > 10
+    for one, other in pairs:
+        assert one.hpls_m == pytest.approx(other.hpls_m, rel=0.02)
+        assert one.vpls_m == pytest.approx(other.vpls_m, rel=0.02)
 
 
 def test_fixes_in_part_check_no_position() -> None:
@@ -124,12 +141,20 @@ def test_the_levels_keep_the_variance_factor_as_long_as_the_published_covariance
     assert wide.hpls_m[0] > 1.5 * usual.hpls_m[0]
 
 
-def test_it_comes_five_times_in_the_time_to_alert(both: Run) -> None:
+def test_it_comes_twice_in_the_time_to_alert(both: Run) -> None:
     steps = np.diff([i.t_ns for i in both.integrity]) * 1e-9
-    assert steps.max() <= 0.2 + 0.011
+    assert steps.max() <= 0.5 + 0.011
+    assert steps.mean() > 0.45
     assert both.integrity[0].state is Alert.DO_NOT_USE  # there is no estimate yet
     assert both.integrity[0].reason == "there is no estimate"
     assert math.isinf(both.integrity[0].hpl_m)
+
+
+def test_it_comes_at_once_with_a_position_that_is_off() -> None:
+    run = Run(LIMITS, shift_m=40.0)
+    alert_ns = next(i.t_ns for i in run.integrity if i.state is Alert.DO_NOT_USE and i.t_ns > run.start_ns + 20 * S)
+    wrong_ns = next(o.t_ns for o in run.outputs if isinstance(o, AidStatus) and o.t_ns > run.start_ns + 20 * S and o.kind == GNSS)
+    assert alert_ns - wrong_ns <= 0.02 * S
 
 
 def test_the_estimate_is_the_same_to_the_bit_whatever_is_configured(both: Run) -> None:
