@@ -25,13 +25,12 @@ from models.sim.faults import in_order
 _TABLE: Final = IntegrityConfig()
 FAULTS_A_FLIGHT: Final = 1.0  # drawn, on average
 SHORTEST_S: Final = 2.0
-_CHECKED: Final = frozenset({"gnss", "fix", "map", "timing"})  # causes that a second source of positions bounds
 
 
 class Kind(msgspec.Struct, frozen=True):
     """A fault that can be drawn. cause: whose rate of the fault table it shares; sizes: smallest and largest, in `unit`.
 
-    bounded: the largest size in the fault table where no second source checks positions; onset_s: from the first message, when
+    bounded: the largest size in the fault table where no second source checks; onset_s: from the first message, when
     the perturbation sets in.
     """
 
@@ -98,8 +97,7 @@ class Fault(msgspec.Struct, frozen=True):
 
     def bounded(self, aids: str) -> bool:
         """Whether the fault table bounds it, at this size and with these sources."""
-        kind = KINDS[self.kind]
-        return self.size <= kind.bounded or (aids == "both" and kind.cause in _CHECKED)
+        return aids == "both" or self.size <= KINDS[self.kind].bounded
 
 
 def kinds_of(aids: str) -> list[str]:

@@ -34,6 +34,7 @@ REQUIREMENTS: Final = (
         (
             f"{_I}/test_monitor.py::test_sources_that_disagree_are_not_used_within_a_second_and_the_bound_covers_both",
             f"{_I}/test_monitor.py::test_it_comes_at_once_with_a_position_that_is_off",
+            f"{_I}/test_monitor.py::test_an_imu_that_runs_away_beside_gnss_is_covered_and_alerted_before_the_error_passes_the_limit",
         ),
         "drawn.json",
     ),

@@ -4,6 +4,7 @@
     a hypothesis             p = exp(w_k) / sum exp(w_j);  offset |x_k - x|, sigma of P_k
     a source wrong for long  the hypothesis without GNSS, each newest position of another source
     map, rig, timing, IMU    an offset from the configuration
+    IMU wrong, any size      offset |v - v_source| t, t: since this velocity agreed, until the next level
     a false fix in the gate  offset 4 sigma
 
 A rate r has the probability r correlation_s / 3600, raised by a separation d to (Bayes; ARAIM has a threshold)
@@ -21,7 +22,7 @@ from estimator.integrity.protection import Mode, allowed
 from models.messages import RADIAN_M, Array
 from models.state import E, X
 
-GNSS, FIX = "gnss_position", "pose"  # kinds of absolute sources
+GNSS, FIX, VELOCITY = "gnss_position", "pose", "gnss_velocity"  # kinds of sources
 IN_USE_S: Final = 60.0  # since it was last fused: what it did is in the estimate so long
 OTHER_SOURCE_S: Final = 2.0  # old at most, a position of another source that the estimate is compared with
 _GATED_SIGMAS: Final = 4.0
@@ -37,8 +38,17 @@ class Position(NamedTuple):
     fused_ns: int
 
 
+class Velocity(NamedTuple):
+    """Newest velocity of a source: innovation and sigma, NED [m/s], (3,); when it last agreed."""
+
+    t_ns: int
+    innovation: tuple[float, ...]
+    sigma: tuple[float, ...]
+    agreed_ns: int
+
+
 class Snapshot(NamedTuple):
-    """State for the faults; covariance (3, 3): of the position, without other hypotheses."""
+    """State for the faults; covariance (3, 3): of the position, without other hypotheses; holds_s: until the next level."""
 
     t_ns: int
     hypotheses: Hypotheses
@@ -47,6 +57,8 @@ class Snapshot(NamedTuple):
     positions: Mapping[str, Position]
     single: bool  # the hypotheses are in the covariance already
     variance_factor: float  # of what is published
+    velocities: Mapping[str, Velocity] = {}
+    holds_s: float = 0.0
 
 
 class Fault(NamedTuple):
@@ -77,6 +89,9 @@ def faults(now: Snapshot, config: IntegrityConfig) -> list[Fault]:
     for topic, position in now.positions.items():
         if (now.t_ns - position.fused_ns) * 1e-9 <= IN_USE_S:
             found += _of_source(topic, position, now, nominal, config)
+    for topic, velocity in now.velocities.items():
+        if 0.0 <= (now.t_ns - velocity.t_ns) * 1e-9 <= OTHER_SOURCE_S:
+            found.append(_runaway(topic, velocity, now, nominal, config))
     fallen = 0.5 * config.imu_fault_m_s2 * now.absolute_age_s**2
     found.append(_moved(nominal, "the IMU wrong", _share(config.imu_fault_per_hour, config), fallen, fallen))
     return found
@@ -120,8 +135,7 @@ def _of_source(topic: str, position: Position, now: Snapshot, nominal: Fault, co
     prior, name = _share(any_size, config), f"{topic} wrong for long"
     without = list(_without(topic, position, now, config))
     for offset_h, sigma_h, offset_v, sigma_v, t2 in without:
-        p = prior / (prior + math.exp(-0.5 * t2)) if prior else 0.0
-        yield Fault(name, p, offset_h, sigma_h, offset_v, sigma_v)
+        yield Fault(name, _raised(prior, t2), offset_h, sigma_h, offset_v, sigma_v)
     if not without:
         yield Fault(f"{name}: no second source checks it", prior, 0.0, math.inf, 0.0, math.inf)
     for said, rate, offset_h, offset_v in kinds:
@@ -149,6 +163,19 @@ def _without(
         sigma_h, sigma_v = max(seen.sigma[0], seen.sigma[1]), seen.sigma[2]
         t2 = (n / seen.sigma[0]) ** 2 + (e / seen.sigma[1]) ** 2 + (d / sigma_v) ** 2
         yield math.hypot(n, e), sigma_h, abs(d), sigma_v, t2
+
+
+def _runaway(topic: str, velocity: Velocity, now: Snapshot, nominal: Fault, config: IntegrityConfig) -> Fault:
+    """A constant acceleration a over t makes v = a t and p = v t / 2; until the next level both grow."""
+    (n, e, d), (sn, se, sd) = velocity.innovation, velocity.sigma
+    t_s = (now.t_ns - velocity.agreed_ns) * 1e-9 + now.holds_s
+    p = _raised(_share(config.imu_fault_per_hour, config), (n / sn) ** 2 + (e / se) ** 2 + (d / sd) ** 2)
+    return _moved(nominal, f"the IMU wrong: {topic} says another velocity", p, math.hypot(n, e) * t_s, abs(d) * t_s)
+
+
+def _raised(prior: float, t2: float) -> float:
+    """By a separation of t2 = t^2 (Bayes)."""
+    return prior / (prior + math.exp(-0.5 * t2)) if prior else 0.0
 
 
 def _is_confirmed(member: Hypothesis, topic: str, now: Snapshot) -> bool:

@@ -1,7 +1,7 @@
 """Protection levels: two in `time_to_alert_s` with an alert limit, else one in twice that.
 
-One comes at once with a jump of the estimate and, while the state is usable, with a position that is off by more than 3 sigma
-of its innovation.
+One comes at once with a jump of the estimate and, while the state is usable, with a position or a GNSS velocity that is off by
+more than 3 sigma of its innovation.
 """
 
 import math
@@ -13,7 +13,7 @@ import numpy as np
 from estimator.filter.tracker import Tracker
 from estimator.integrity.alert import CAUTION_RISK, Judge, Levels
 from estimator.integrity.config import IntegrityConfig
-from estimator.integrity.faults import FIX, GNSS, IN_USE_S, Fault, Position, Snapshot, faults
+from estimator.integrity.faults import FIX, GNSS, IN_USE_S, VELOCITY, Fault, Position, Snapshot, Velocity, faults
 from estimator.integrity.protection import Mode, Tail, allowed, exceeded, in_plane, one_axis, protection_level, protection_levels
 from models.messages import AidStatus, Alert, Integrity, Reason
 from models.state import E
@@ -36,6 +36,7 @@ class Monitor:
         self._period_ns = round(config.time_to_alert_s * 1e9 * (1.0 / _PER_ALERT if is_judged else 2.0))
         self._judge = Judge(config)
         self._positions: dict[str, Position] = {}
+        self._velocities: dict[str, Velocity] = {}
         self._next_ns: int | None = None
         self.last: Integrity | None = None
         risks = (*RISKS, config.risk_per_hour, min(1.0, CAUTION_RISK * config.risk_per_hour))
@@ -48,7 +49,7 @@ class Monitor:
 
     def begin_again(self) -> None:
         """Forget all, answer at once."""
-        self._positions, self._next_ns = {}, None
+        self._positions, self._velocities, self._next_ns = {}, {}, None
 
     @property
     def summary(self) -> str:
@@ -58,6 +59,8 @@ class Monitor:
 
     def note(self, status: AidStatus, position: tuple[tuple[float, ...], tuple[float, ...]] | None) -> None:
         """Note a decision, and its innovation as a position with sigma, if any."""
+        if status.kind == VELOCITY and len(status.innovation) == len(status.innovation_sigma) == 3:
+            self._note_velocity(status)
         if status.kind not in {GNSS, FIX}:
             return
         last = self._positions.get(status.topic)
@@ -65,13 +68,25 @@ class Monitor:
         fused_ns = max(used_ns, last.fused_ns if last else _NEVER)
         if position is not None and (last is None or status.t_ns >= last.t_ns):
             self._positions[status.topic] = Position(status.kind, status.t_ns, *position, fused_ns)
-            off = any(abs(x) > _OFF_SIGMAS * sigma for x, sigma in zip(*position, strict=True))
-            if off and self.last is not None and self.last.state is Alert.USABLE:
-                self.at_once()
+            self._alarm(*position)
         elif last is not None:
             self._positions[status.topic] = last._replace(fused_ns=fused_ns)
         else:
             self._positions[status.topic] = Position(status.kind, _NEVER, (), (), fused_ns)
+
+    def _note_velocity(self, status: AidStatus) -> None:
+        last = self._velocities.get(status.topic)
+        if last is None or status.t_ns >= last.t_ns:
+            off = self._alarm(status.innovation, status.innovation_sigma)
+            agreed_ns = last.agreed_ns if off and last else status.t_ns
+            self._velocities[status.topic] = Velocity(status.t_ns, status.innovation, status.innovation_sigma, agreed_ns)
+
+    def _alarm(self, innovation: tuple[float, ...], sigma: tuple[float, ...]) -> bool:
+        """Whether it is off; while the state is usable levels are due then."""
+        off = any(abs(x) > _OFF_SIGMAS * s for x, s in zip(innovation, sigma, strict=True))
+        if off and self.last is not None and self.last.state is Alert.USABLE:
+            self.at_once()
+        return off
 
     def at_once(self) -> None:
         """Levels are due with the next estimate."""
@@ -129,7 +144,9 @@ class Monitor:
         age_s = (t_ns - tracker.core.last_absolute_ns) * 1e-9 if tracker.core.last_absolute_ns >= 0 else math.inf
         for topic in [k for k, p in self._positions.items() if (t_ns - max(p.t_ns, p.fused_ns)) * 1e-9 > IN_USE_S]:
             del self._positions[topic]
-        return faults(Snapshot(t_ns, shown, covariance, max(age_s, 0.0), self._positions, single, factor), self._config)
+        positions, holds_s = self._positions, self._period_ns * 1e-9
+        now = Snapshot(t_ns, shown, covariance, max(age_s, 0.0), positions, single, factor, self._velocities, holds_s)
+        return faults(now, self._config)
 
     def _reason(self, found: list[Fault], at_risk: Levels) -> str:
         config = self._config

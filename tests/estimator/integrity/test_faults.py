@@ -9,7 +9,7 @@ import pytest
 from estimator.filter.eskf import Eskf
 from estimator.filter.hypotheses import Doubt, Hypotheses, Hypothesis
 from estimator.integrity.config import IntegrityConfig
-from estimator.integrity.faults import Fault, Position, Snapshot, faults
+from estimator.integrity.faults import Fault, Position, Snapshot, Velocity, faults
 from models import imu
 from models.imu import Coast, ImuNoise
 from models.messages import Array
@@ -70,6 +70,20 @@ def test_the_variance_factor_of_what_is_published_widens_every_solution() -> Non
 def test_the_imu_falls_away_with_the_time_since_the_last_position() -> None:
     now = _now([Hypothesis(_filter((0.0, 0.0, 0.0), 0.5))], {}, age_s=10.0)
     assert _by_name(faults(now, CONFIG))["the IMU wrong"].offset_h == pytest.approx(15.0)
+
+
+def test_a_velocity_that_disagrees_makes_the_imu_wrong_by_what_it_does_until_the_next_level() -> None:
+    now = _now([Hypothesis(_filter((0.0, 0.0, 0.0), 0.5))], {})
+    off = Velocity(NOW - S // 5, (3.0, 0.0, -0.5), (0.1, 0.1, 0.1), NOW - 3 * S // 2)
+    name = "the IMU wrong: /gnss says another velocity"
+    found = _by_name(faults(now._replace(velocities={"/gnss": off}, holds_s=0.5), CONFIG))[name]
+    assert found[1:] == pytest.approx((1.0, 6.0, 0.5, 1.0, 0.5))
+    agrees = off._replace(innovation=(0.1, 0.0, 0.0), agreed_ns=off.t_ns)
+    found = _by_name(faults(now._replace(velocities={"/gnss": agrees}, holds_s=0.5), CONFIG))[name]
+    assert found.probability == pytest.approx(CONFIG.imu_fault_per_hour * SHARE * math.exp(0.5), rel=1e-3)
+    assert found.offset_h == pytest.approx(0.07)
+    old = off._replace(t_ns=NOW - 3 * S)
+    assert name not in _by_name(faults(now._replace(velocities={"/gnss": old}), CONFIG))
 
 
 def test_sources_that_agree_bound_each_other_and_such_that_do_not_make_the_fault_certain() -> None:

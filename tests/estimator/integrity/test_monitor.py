@@ -9,6 +9,7 @@ from estimator.config import parse
 from estimator.fusion import Fusion
 from estimator.integrity.config import IntegrityConfig
 from estimator.integrity.faults import GNSS
+from logs.evaluation.integrity import against_truth
 from models.frames import Origin
 from models.messages import (
     AidStatus,
@@ -17,6 +18,7 @@ from models.messages import (
     Estimate,
     GnssFix,
     Health,
+    ImuSample,
     Input,
     Integrity,
     LandmarkFix,
@@ -44,6 +46,7 @@ class Run:
         gnss: bool = True,
         shift_m: float = 0.0,
         until_s: float = 99.0,
+        rate_hz: float = 2.0,
         changed: Callable[[Input], Input] = lambda m: m,
     ) -> None:
         scenario = Scenario(
@@ -51,7 +54,7 @@ class Run:
             vehicle=Multirotor(seed=0),
             imu=Imu(rate_hz=100.0),
             gnss=Gnss() if gnss else None,
-            pose_fix=PoseFixes(outages_s=()),
+            pose_fix=PoseFixes(rate_hz=rate_hz, outages_s=()),
         )
         made = simulate(scenario, 0)
         self.truth = made.truth
@@ -182,6 +185,27 @@ def test_sources_that_disagree_are_not_used_within_a_second_and_the_bound_covers
     assert run.at(22.0).hpls_m[0] > 40.0
     without = Run(msgspec.structs.replace(LIMITS, exclude_rejected=True), shift_m=40.0)
     assert without.at(39.0).hpl_m < 10.0 < run.at(39.0).hpl_m
+
+
+def test_an_imu_that_runs_away_beside_gnss_is_covered_and_alerted_before_the_error_passes_the_limit(both: Run) -> None:
+    def biased(message: Input) -> Input:
+        if not isinstance(message, ImuSample) or message.t_ns < begin_ns:
+            return message
+        ax, ay, az = message.accel_b
+        return msgspec.structs.replace(message, accel_b=(ax + 7.0, ay, az))
+
+    begin_ns = both.start_ns + 41 * S // 2
+    run = Run(LIMITS, rate_hz=0.5, changed=biased)
+    nav = {e.t_ns: e.nav[:3] for e in run.estimates()}
+    t_ns = np.array(sorted(nav))
+    p_n = run.truth.p_n[np.clip(np.searchsorted(run.truth.t_ns, t_ns), 0, len(run.truth.t_ns) - 1)]
+    found = against_truth(run.integrity, t_ns, p_n - np.array([nav[t] for t in t_ns.tolist()]))
+    at = [run.integrity[k] for k in found.row.tolist()]
+    assert found.horizontal.max() > 5.0
+    assert (found.horizontal < [i.hpls_m[1] for i in at]).all()
+    alert = next(k for k, i in enumerate(at) if i.t_ns > begin_ns and i.state is not Alert.USABLE)
+    assert at[alert].t_ns - begin_ns < 1.5 * S
+    assert found.horizontal[:alert].max() < 10.0
 
 
 def test_an_outage_ends_the_use_before_the_error_passes_the_limit() -> None:
