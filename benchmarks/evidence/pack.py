@@ -83,6 +83,7 @@ def _panels(flown: Sequence[Flown]) -> dict[str, list[Any]]:
 
 def document(flown: Sequence[Flown], campaign: str, hours: float) -> str:
     """The pack as one page of Markdown."""
+    page = _PAGE.read_text(encoding="utf-8").splitlines()
     beyond = sorted({f"{f.stratum} (sources {f.aids})" for f in flown if f.has_event})
     causes = [(kind, k.cause, f"{RATES[k.cause]:g}", f"{k.sizes[0]:g} to {k.sizes[1]:g} {k.unit}") for kind, k in KINDS.items()]
     traced = [(r.name, r.text, ", ".join(r.tests), r.result or "the tests") for r in REQUIREMENTS]
@@ -93,13 +94,14 @@ def document(flown: Sequence[Flown], campaign: str, hours: float) -> str:
         "While the state is `usable`, the position error exceeds the protection level at most at the configured risk per hour, "
         "for the faults and rates below. Counting does not show 1e-5 per hour; the claim rests on the fault table and its rates, "
         "and the flights fail or do not fail to contradict it.\n",
-        f"**Not covered**: {', '.join(beyond) if beyond else 'no stratum of the drawn flights had an event'}; "
-        "kinds that were not drawn; sizes beyond the ranges drawn; sources that fail together.\n",
+        f"**Not covered**: {', '.join(beyond) if beyond else 'nothing that these few flights had'}; "
+        "kinds that were not drawn; sizes beyond the ranges drawn; sources that fail together; and by the fault table itself:\n",
+        part(page, "- ", after="## What is not covered"),
         "## Assumptions",
         assumptions().markdown(),
         "## Fault tree and rates",
         "![Fault tree](fault_tree.svg)\n",
-        fault_table(_PAGE.read_text(encoding="utf-8")),
+        part(page, "|", after="## What may be wrong"),
         "## Faults drawn",
         Table("The rate of a cause is shared by its kinds", ("kind", "cause", "1/h of the cause", "sizes"), causes).markdown(),
         "## Method",
@@ -114,6 +116,7 @@ def document(flown: Sequence[Flown], campaign: str, hours: float) -> str:
         drawn_report(flown),
         "![Stanford plots: error against protection level](stanford.png)\n",
         "## Results: the campaign so far",
+        "Each line of its record is by the code of its time.\n",
         campaign,
         "## Traceability",
         Table("Requirement, test, result", ("requirement", "text", "tests", "result"), traced).markdown(),
@@ -127,12 +130,12 @@ def document(flown: Sequence[Flown], campaign: str, hours: float) -> str:
     ))  # fmt: skip
 
 
-def fault_table(page: str) -> str:
-    """The fault table of docs/integrity.md, with its rates and their sources."""
-    lines = page.splitlines()
-    begin = next(k for k, line in enumerate(lines) if line.startswith("| fault |"))
-    end = next(k for k in range(begin, len(lines)) if not lines[k].startswith("|"))
-    return "\n".join([*lines[begin:end], ""])
+def part(page: Sequence[str], mark: str, after: str) -> str:
+    """The first table or list behind a heading of docs/integrity.md."""
+    begin = next(k for k, line in enumerate(page) if line.startswith(after))
+    begin = next(k for k in range(begin, len(page)) if page[k].startswith(mark))
+    end = next(k for k in range(begin, len(page)) if not page[k].strip())
+    return "\n".join([*page[begin:end], ""])
 
 
 def assumptions() -> Table:

@@ -26,9 +26,10 @@ def draw(groups: Mapping[str, Sequence[Row]], path: Path) -> None:
     panels = [(name, some) for name, some in groups.items() if some]
     if not panels:
         return
-    lines = -(-len(panels) // _COLUMNS)
-    figure = Figure(figsize=(_COLUMNS * _SIDE_IN + 0.8, lines * _SIDE_IN + 0.3), layout="constrained", dpi=120)
-    axes = figure.subplots(lines, _COLUMNS, sharex=True, sharey=True, squeeze=False)
+    columns = min(_COLUMNS, len(panels))
+    lines = -(-len(panels) // columns)
+    figure = Figure(figsize=(columns * _SIDE_IN + 0.8, lines * _SIDE_IN + 0.3), layout="constrained", dpi=120)
+    axes = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
     for ax in axes.flat[len(panels) :]:
         ax.set_visible(False)
     for ax, (name, some) in zip(axes.flat, panels, strict=False):

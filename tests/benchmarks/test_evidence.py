@@ -31,3 +31,4 @@ def test_what_exceeds_the_level_stands_in_the_first_paragraph() -> None:
     assert "map north 10 deg from 5 to 60 s" in text
     assert "PL-3" in text
     assert "the map shifted by up to 3 m" in text  # the fault table of docs/integrity.md
+    assert "- Attitude and velocity have no levels." in text
