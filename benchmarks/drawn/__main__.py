@@ -21,7 +21,7 @@ from benchmarks.drawn.alerts import alerts, in_time_or_covered, table
 from benchmarks.drawn.flights import fly, program
 from benchmarks.drawn.rates import Flown, Rate, rates
 from benchmarks.flights.tasks import ROOT
-from benchmarks.jobs import run_jobs
+from benchmarks.jobs import results_in, run_jobs
 from benchmarks.tables import Table
 
 SECONDS = 120.0  # of a flight
@@ -30,11 +30,13 @@ SECONDS = 120.0  # of a flight
 def main() -> None:
     args = arguments()
     count = round(args.hours * 3600.0 / SECONDS) if args.hours else args.flights
-    done = fly_all(range(args.seed, args.seed + count), args.out / "flights.jsonl", args.jobs, args.scheduler)
-    text = report(done)
+    kept = args.out / "flights.jsonl"
+    done = fly_all(range(args.seed, args.seed + count), kept, args.jobs, args.scheduler)
+    programs = compared(done, [f for _, f in results_in(kept, Flown)])
+    text = f"{report(done)}\n{programs.markdown()}"
     (args.out / "report.md").write_text(text)
     if args.summary:
-        args.summary.write_text(json.dumps(summary(done), indent=1) + "\n")
+        args.summary.write_text(json.dumps(summary(done) | {"programs": msgspec.to_builtins(programs)}, indent=1) + "\n")
     print(text)
 
 
@@ -58,6 +60,20 @@ def summary(done: Sequence[Flown]) -> dict[str, Any]:
         "lockout": msgspec.to_builtins(lockout.table(_locked(done))),
         "events": msgspec.to_builtins(_events(done)),
     }
+
+
+def compared(done: Sequence[Flown], known: Sequence[Flown]) -> Table:
+    """Each program of the rows beside this one, over the flights that both have flown."""
+    rows = []
+    for other in dict.fromkeys(f.program for f in known):
+        theirs = {f.seed: f for f in known if f.program == other}
+        both = [(theirs[f.seed], f) for f in done if f.seed in theirs]
+        events = [[f for f in side if f.has_event] for side in zip(*both, strict=True)]
+        seeds = [", ".join(str(f.seed) for f in some) or "none" for some in events]
+        worst = [f"{max((f.row.worst for f in some), default=0.0):.3g}" for some in events]
+        rows += [(other, str(len(both)), *seeds, *worst)] if both else []
+    columns = ("program", "flights", "seeds above the level", "by this program", "worst e / PL", "by this program")
+    return Table("Programs, over the same flights", columns, rows)
 
 
 def report(done: Sequence[Flown]) -> str:

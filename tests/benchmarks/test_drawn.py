@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from benchmarks.drawn.__main__ import compared
 from benchmarks.drawn.alerts import alerts, in_time_or_covered
 from benchmarks.drawn.faults import KINDS, Fault, drawn, kinds_of, nominal, with_faults, within
 from benchmarks.drawn.lockout import locked_s
@@ -77,6 +78,16 @@ def test_rates_are_the_arithmetic_of_the_strata() -> None:
     assert by_name[kind].per_hour == pytest.approx(p * bound(1, 40) * 30.0, rel=1e-4)
     assert by_name[SEVERAL].share_at_most == 1.0  # never drawn
     assert 60.0 < found.ess < 61.0
+
+
+def test_another_program_is_compared_over_the_same_flights() -> None:
+    (kind, *_) = KINDS
+    fault = (Fault(kind, 1.0, 10.0, 20.0),)
+    done = [flown(k, fault, 1.0, k == 3) for k in range(4)]
+    before = [msgspec.structs.replace(flown(k, fault, 1.0, k in {2, 3, 9}), program="before") for k in (1, 2, 3, 9)]
+    (mine, theirs) = compared(done, [*done, *before]).rows
+    assert mine[:4] == ("", "4", "3", "3")
+    assert theirs[:4] == ("before", "3", "2, 3", "3")
 
 
 def test_alerts_are_counted_by_kind_and_false_ones_by_the_hour() -> None:
