@@ -3,8 +3,9 @@
     P(event in a flight) = 1/N sum_k w_k x_k        x_k: 1 where flight k had an event; unbiased, for E_q[w x] = E_p[x]
     ESS = (sum w)^2 / sum w^2
 
-The bound is by strata (no fault; each kind alone, bounded by the fault table or not; several): the nominal probability of the
-stratum times the Clopper-Pearson bound of the share of its flights with an event. A stratum that was never drawn counts whole.
+The bound is by strata (no fault; one fault of a cause, bounded by the fault table or not; several): the nominal probability of
+the stratum times the Clopper-Pearson bound of the share of its flights with an event. The kinds of a cause share its rate, and
+are drawn as often, so that this share is the nominal one. A stratum that was never drawn counts whole.
 """
 
 import math
@@ -13,7 +14,7 @@ from typing import Final
 
 import msgspec
 
-from benchmarks.drawn.faults import Fault, kinds_of, nominal, within
+from benchmarks.drawn.faults import KINDS, Fault, kinds_of, nominal, within
 from benchmarks.drawn.lockout import Lockout
 from benchmarks.integrity.report import bound
 from benchmarks.integrity.rows import Row
@@ -38,11 +39,11 @@ class Flown(msgspec.Struct, frozen=True):
 
     @property
     def stratum(self) -> str:
-        """Its faults in a word."""
+        """Its fault's cause."""
         if len(self.faults) != 1:
             return SEVERAL if self.faults else NONE
         (fault,) = self.faults
-        return fault.kind + ("" if fault.bounded(self.aids) else UNBOUNDED)
+        return KINDS[fault.kind].cause + ("" if fault.bounded(self.aids) else UNBOUNDED)
 
     @property
     def is_bounded(self) -> bool:
@@ -117,8 +118,10 @@ def probabilities(aids: str, duration_s: float) -> dict[str, float]:
     none = math.prod(1.0 - x for x in p.values())
     found = {NONE: none}
     for kind, x in p.items():
-        alone, share = none * x / (1.0 - x), within(kind, aids)
-        found |= {name: y for name, y in ((kind, alone * share), (kind + UNBOUNDED, alone * (1.0 - share))) if y > 0.0}
+        cause, alone, share = KINDS[kind].cause, none * x / (1.0 - x), within(kind, aids)
+        for name, y in ((cause, alone * share), (cause + UNBOUNDED, alone * (1.0 - share))):
+            if y > 0.0:
+                found[name] = found.get(name, 0.0) + y
     return found | {SEVERAL: max(0.0, 1.0 - math.fsum(found.values()))}
 
 

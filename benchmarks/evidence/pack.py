@@ -19,7 +19,7 @@ import msgspec
 from benchmarks.drawn.__main__ import SECONDS, fly_all, summary
 from benchmarks.drawn.__main__ import report as drawn_report
 from benchmarks.drawn.faults import FAULTS_A_FLIGHT, KINDS, RATES
-from benchmarks.drawn.rates import AIDS, Flown
+from benchmarks.drawn.rates import AIDS, NONE, Flown
 from benchmarks.evidence.requirements import REQUIREMENTS
 from benchmarks.flights.tasks import ROOT
 from benchmarks.integrity.pictures import draw
@@ -84,7 +84,7 @@ def _panels(flown: Sequence[Flown]) -> dict[str, list[Any]]:
 def document(flown: Sequence[Flown], campaign: str, hours: float) -> str:
     """The pack as one page of Markdown."""
     page = _PAGE.read_text(encoding="utf-8").splitlines()
-    beyond = sorted({f"{f.stratum} (sources {f.aids})" for f in flown if f.has_event})
+    beyond = sorted({f"{' and '.join(x.kind for x in f.faults) or NONE} (sources {f.aids})" for f in flown if f.has_event})
     causes = [(kind, k.cause, f"{RATES[k.cause]:g}", f"{k.sizes[0]:g} to {k.sizes[1]:g} {k.unit}") for kind, k in KINDS.items()]
     traced = [(r.name, r.text, ", ".join(r.tests), r.result or "the tests") for r in REQUIREMENTS]
     return "\n".join((
@@ -110,8 +110,8 @@ def document(flown: Sequence[Flown], campaign: str, hours: float) -> str:
         "it has: w = product of p/q of each kind that it has and (1 - p)/(1 - q) of each that it has not. The sum of the weights "
         "of flights with an event, divided by the number of flights, is the nominal share. The bound is by strata: nominal "
         "probability times the Clopper-Pearson bound (95 %) of the share with an event (about 3 / flights where there is none). "
-        "By hand: 3e-5 of the flights have one kind, 60 flights with it had no event, so at most 3e-5 x 0.049 = 1.5e-6 a flight "
-        "of 120 s, 4.4e-5 an hour.\n",
+        "By hand: 1e-4 an hour are 3.3e-6 a flight of 120 s; 60 flights with the cause had no event, so at most "
+        "3.3e-6 x 0.049 = 1.6e-7 a flight, 4.9e-6 an hour.\n",
         "## Results: drawn faults",
         drawn_report(flown),
         "![Stanford plots: error against protection level](stanford.png)\n",

@@ -14,6 +14,7 @@ from benchmarks.drawn.rates import AIDS, NONE, SEVERAL, UNBOUNDED, Flown, probab
 from benchmarks.integrity.report import bound
 from benchmarks.integrity.rows import Row
 from benchmarks.integrity.runs import village
+from estimator.integrity.config import IntegrityConfig
 from models.sim.trajectory import Multirotor
 
 SECONDS = 120.0
@@ -42,7 +43,9 @@ def test_the_strata_are_all_there_is(aids: str) -> None:
     assert math.fsum(found.values()) == pytest.approx(1.0, abs=1e-15)
     assert found[NONE] > 1.0 - 3e-5
     assert 0.0 <= found[SEVERAL] < 1e-9
-    assert ("map north" + UNBOUNDED in found) is (aids == "fixes")
+    assert ("map" + UNBOUNDED in found) is (aids == "fixes")
+    rate = sum(p for name, p in found.items() if name.startswith("map")) * 3600.0 / SECONDS
+    assert rate == pytest.approx(IntegrityConfig().map_fault_per_hour, rel=1e-4)
 
 
 def test_a_fault_changes_messages_while_it_lasts_and_no_others() -> None:
@@ -69,13 +72,14 @@ def test_a_lock_out_is_from_the_last_faulty_reading_until_the_error_stays_small(
 def test_rates_are_the_arithmetic_of_the_strata() -> None:
     (kind, *_) = KINDS
     fault = Fault(kind, 1.0, 10.0, 20.0)
-    p = nominal(kind, "both", SECONDS)
+    cause, p = KINDS[kind].cause, nominal(kind, "both", SECONDS)
+    of_cause = sum(nominal(k, "both", SECONDS) for k in KINDS if KINDS[k].cause == cause)
     some = [flown(k, (), 2.5, 0) for k in range(60)] + [flown(k, (fault,), 16.0 * p, k == 60) for k in range(60, 100)]
     found = rate(some)
     assert found.per_hour == pytest.approx(16.0 * p / 100 * 30.0)
     by_name = {s.name: s for s in found.strata}
-    assert (by_name[kind].flights, by_name[kind].with_event) == (40, 1)
-    assert by_name[kind].per_hour == pytest.approx(p * bound(1, 40) * 30.0, rel=1e-4)
+    assert (by_name[cause].flights, by_name[cause].with_event) == (40, 1)
+    assert by_name[cause].per_hour == pytest.approx(of_cause * bound(1, 40) * 30.0, rel=1e-4)
     assert by_name[SEVERAL].share_at_most == 1.0  # never drawn
     assert 60.0 < found.ess < 61.0
 
