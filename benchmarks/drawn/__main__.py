@@ -4,8 +4,9 @@ python -m benchmarks.drawn --flights 30 --jobs 1                goes on where it
 python -m benchmarks.drawn --flights 30000 --scheduler tcp://10.0.0.5:8786
 python -m benchmarks.drawn --flights 3000 --summary benchmarks/results/drawn.json
 
-Rows stand in out/drawn/flights.jsonl with seed and program; a changed program flies anew, and the rows of the others stay. Every
-flight with an error above its level while usable is listed with its faults in report.md, and its seed makes it again.
+Rows stand in out/drawn/flights.jsonl with seed and program; a changed program flies anew, and the rows of the others stay. The
+report is of all rows of this program. Every flight with an error above its level while usable is listed with its faults, and its
+seed makes it again.
 """
 
 import argparse
@@ -31,8 +32,10 @@ def main() -> None:
     args = arguments()
     count = round(args.hours * 3600.0 / SECONDS) if args.hours else args.flights
     kept = args.out / "flights.jsonl"
-    done = fly_all(range(args.seed, args.seed + count), kept, args.jobs, args.scheduler)
-    programs = compared(done, [f for _, f in results_in(kept, Flown)])
+    fly_all(range(args.seed, args.seed + count), kept, args.jobs, args.scheduler)
+    known = sorted((f for _, f in results_in(kept, Flown)), key=lambda f: f.seed)
+    done = [f for f in known if f.program == program()]
+    programs = compared(done, known)
     text = f"{report(done)}\n{programs.markdown()}"
     (args.out / "report.md").write_text(text)
     if args.summary:
@@ -51,7 +54,7 @@ def summary(done: Sequence[Flown]) -> dict[str, Any]:
     good, faults = in_time_or_covered([f for f in done if f.is_bounded])
     return {
         "program": done[0].program,
-        "seeds": [done[0].seed, done[-1].seed],
+        "seeds": " ".join(str(f.seed) for f in done),
         "hours": sum(f.duration_s for f in done) / 3600.0,
         "faults_of_the_table": faults,
         "in_time_or_covered": good,
