@@ -10,7 +10,7 @@ from calib.cameras.bundle import IDENTITY, Pose
 from calib.files.rig_yaml import FORWARD
 from models import so3
 from models.camera import CameraModel, StereoRig
-from tests.calib.synthetic import views
+from tests.boards import views
 
 cv2.setNumThreads(1)
 

@@ -36,8 +36,8 @@ from models.frames import GRAVITY
 from models.messages import GnssFix, GnssVelocity, ImuSample, vec3
 from models.sim.scenario import simulate
 from models.sim.scenario_file import loads
-from tests.calib.synthetic import views
-from tests.calib.synthetic.motion import EUROC_NOISE, Truth, record
+from tests.boards import views
+from tests.boards.motion import EUROC_NOISE, Truth, record
 from tests.docs import started
 from tests.estimator.commands.photos import of_scene
 from vision.synthetic.scenes import WorldSpec, make_world

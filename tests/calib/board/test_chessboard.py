@@ -9,8 +9,8 @@ from calib.errors import CalibrationError
 from calib.files.fisheye import rational
 from models import so3
 from models.camera import CameraModel
+from tests.boards import views
 from tests.calib.conftest import BOARD, CAMERA, SMALL
-from tests.calib.synthetic import views
 from vision.image.rectify import Image
 
 

@@ -6,8 +6,8 @@ import pytest
 from calib.cameras import bundle
 from calib.cameras.bundle import IDENTITY, Pose, Problem, Seen, adjust
 from models import so3
+from tests.boards import views as synthetic
 from tests.calib.conftest import BOARD, true_rig
-from tests.calib.synthetic import views as synthetic
 
 
 def problem(sigma_px: float, seed: int = 0) -> Problem:

@@ -14,8 +14,8 @@ from calib.errors import CalibrationError
 from calib.report import verdict
 from models.camera import CameraModel
 from models.messages import Array
+from tests.boards import views as synthetic
 from tests.calib.conftest import BOARD, CAMERA, simulated_views
-from tests.calib.synthetic import views as synthetic
 
 
 def parameters(camera: CameraModel) -> Array:

@@ -14,8 +14,8 @@ from calib.report import verdict
 from models import so3
 from models.camera import StereoRig
 from models.messages import Array
+from tests.boards import views as synthetic
 from tests.calib.conftest import BOARD, seen_by, true_rig
-from tests.calib.synthetic import views as synthetic
 
 
 def simulated_pairs(

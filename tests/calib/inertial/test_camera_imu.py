@@ -15,9 +15,9 @@ from models.frames import GRAVITY
 from models.imu import Coast, constants
 from models.messages import Array
 from models.state import E, NavState
+from tests.boards import motion as synthetic_motion
+from tests.boards.motion import EUROC_NOISE, Truth, record
 from tests.calib.conftest import BOARD
-from tests.calib.synthetic import motion as synthetic_motion
-from tests.calib.synthetic.motion import EUROC_NOISE, Truth, record
 
 CAMERA = CameraModel(752, 480, 458.654, 457.296, 367.215, 248.375, (-0.283, 0.074, 2e-4, 1.8e-5))
 FORWARD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])

@@ -18,9 +18,9 @@ from models import so3
 from models.camera import CameraModel, StereoRig
 from models.frames import GRAVITY
 from models.messages import ImuSample, vec3
-from tests.calib.synthetic import motion as synthetic_motion
-from tests.calib.synthetic import views as synthetic
-from tests.calib.synthetic.motion import EUROC_NOISE, Truth
+from tests.boards import motion as synthetic_motion
+from tests.boards import views as synthetic
+from tests.boards.motion import EUROC_NOISE, Truth
 
 BOARD = Board(7, 5, 0.03)
 LEFT = CameraModel(320, 240, 270.0, 271.0, 158.0, 121.0, (-0.2, 0.05, 0.0, 0.0))

@@ -13,7 +13,7 @@ from models.camera import CameraModel
 from models.frames import GRAVITY
 from models.imu import ImuNoise
 from models.messages import Array
-from tests.calib.synthetic import views as synthetic
+from tests.boards import views as synthetic
 
 EUROC_NOISE: Final = ImuNoise(gyro_noise=1.6968e-4, accel_noise=2e-3, gyro_walk=1.9393e-5, accel_walk=3e-3, gyro_scale=0.0)
 _START_NS: Final = 1_700_000_000_000_000_000
