@@ -10,7 +10,7 @@ from estimator.filter.hypotheses import Hypotheses
 from estimator.filter.mismatch import Delays, Jamming, PathScale, Scatter, delay
 from estimator.filter.relative import drift
 from estimator.sources.base.machine import SourceState
-from estimator.sources.odometry import DRIFT, drift_block
+from estimator.sources.odometry import DRIFT, WRONG, drift_block
 
 VOUCHED_NS = 60_000_000_000  # a source that was fused since then is one to compare another with
 _NEW_NS = 1_000_000_000
@@ -49,6 +49,11 @@ def heading(topic: str) -> str:
     return f"the heading is that of {topic} alone until the vehicle accelerates"
 
 
+def wrong(sources: Mapping[str, SourceState]) -> list[str]:
+    """Odometry that is not used."""
+    return [f"{topic}: {WRONG}" for topic, state in sorted(sources.items()) if not state.noise.is_noise]
+
+
 def drifts(hypotheses: Hypotheses | None) -> list[str]:
     """Odometry that contradicted the IMU."""
     if hypotheses is None:
@@ -59,7 +64,7 @@ def drifts(hypotheses: Hypotheses | None) -> list[str]:
     return [
         f"{topic} and the IMU have contradicted each other: each may be wrong by {sigma:.2g} m/s"
         for topic, sigma in found
-        if sigma > drift.BEGINS_M_S
+        if sigma > drift.WORTH_SAYING_M_S
     ]
 
 

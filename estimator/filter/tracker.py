@@ -200,6 +200,7 @@ class Tracker:
             *(remarks.apart(core.conflicts.apart) if core.is_aligned and not self._conflict() else ()),
             *remarks.units(self.path_scale, core.absolute),
             *remarks.drifts(core.hypotheses),
+            *remarks.wrong(self.sources),
             *remarks.delays(self.delays, core.hypotheses),
             *remarks.variance(core.variance_factor.lasting),
             *remarks.held(self.held_ns, core.t_ns),

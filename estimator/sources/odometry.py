@@ -33,13 +33,14 @@ _CUSUM_LIMIT = 8.0  # sigma
 _MOST_ERRORS = 6  # that stay with a rig
 _LARGEST_ERROR = 100.0  # m or rad
 _FALSE_M, _FALSE_RAD = 1.0, 0.1  # half widths of the box in which a false increment is expected
-_SCALE_HOLDS_S, _DRIFTS_S, FADES_S = 600.0, 60.0, 10.0
-DRIFT, DRIFT_M_S = ".drift", 0.01  # of any odometry, for a minute, and nothing shows it
+_SCALE_HOLDS_S, _DRIFTS_S, FADES_S = 600.0, 120.0, 10.0
+DRIFT, DRIFT_M_S = ".drift", 0.01  # of any odometry, and nothing shows it
 _USUAL = 3.0  # ratio of the sigmas of two increments of one scene
 _NOTHING = 1e-14  # m^2, rad^2: keeps a covariance positive definite
 _DISPUTED, _DISPUTED_SIGMA = 3.5, 2.5  # of a sum: two such outliers alike; from then on nothing further off is fused
 _CLIP = 3.0  # sigma: a single outlier counts no more in the cumulative sum
 _JUMP_M, _JUMP_M_S2 = 0.15, 50.0  # poses that leave a straight line by more than this, or than any vehicle can, have jumped
+WRONG = "its increments are off by more than noise: not used (scale, axes, stamps?)"
 _NO_ERRORS: tuple[SlowError, ...] = ()
 
 Row: TypeAlias = Literal["x", "y", "z", "roll", "pitch", "yaw"]
@@ -61,11 +62,11 @@ class OdometryConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         tuple[Row, ...],
         Meta(description="of poses, what is measured: x y z forward, right, down, and roll pitch yaw; wheels: x, y and yaw"),
     ] = _NAMES
-    position_sigma_m: Annotated[float, Meta(ge=1e-4, le=100, description="m: white error of an increment, at least")] = 0.005
+    position_sigma_m: Annotated[float, Meta(ge=1e-4, le=100, description="m: white error of an increment, at least")] = 0.01
     attitude_sigma_deg: Annotated[float, Meta(ge=1e-3, le=90, description="deg: white error of an increment, at least")] = 0.2
     position_share: Annotated[
         float, Meta(ge=0, le=1, description="white error of an increment as a share of its length, where it reports none")
-    ] = 0.03
+    ] = 0.025
     noise_scale: Annotated[float, Meta(ge=1e-3, le=1000, description="factor on the standard deviations in an increment")] = 1.0
     lasting_share: Annotated[float, Meta(ge=0, le=1, description="error that lasts, as a share of the length; 0: none")] = 0.008
     lasting_s: Annotated[float, Meta(ge=1e-3, le=1e6, description="s: for so long it lasts")] = 5.0
@@ -280,6 +281,16 @@ def widened(
     return replace(aid, slow_errors=errors), widen(z, noise=factor * z.noise), (least_m, most_m)
 
 
+def as_learnt(aid: OdometryAid, z: RelativePose, roots: Array) -> tuple[OdometryAid, RelativePose]:
+    """With D R D, and the error that lasts times D; roots: diagonal of D (6,)."""
+    block = f"{aid.topic}.lasting"
+    errors = tuple(
+        replace(e, jacobian=roots[:, None] * np.asarray(e.jacobian)) if e.block == block else e for e in aid.slow_errors
+    )
+    own = roots[z.rows]
+    return replace(aid, slow_errors=errors), widen(z, noise=own[:, None] * z.noise * own)
+
+
 def spread_at(state: SourceState, t_ns: int) -> tuple[float, float]:
     """spread_m left at t_ns: both fade."""
     faded = math.exp(-max(t_ns - state.last_ns, 0) * 1e-9 / FADES_S)
@@ -322,13 +333,17 @@ def jumped(kept: Kept, t_ns: int, pose: Array) -> tuple[float, Array | None]:
 def arrived(state: SourceState, rules: Rules, t_ns: int, *, alone: bool) -> SourceState:
     """An increment arrives."""
     spread_m = spread_at(state, t_ns)
-    return replace(state.arrive(rules, t_ns, alone=alone), spread_m=spread_m)
+    return replace(state.arrive(rules, t_ns, alone=alone), spread_m=spread_m, noise=state.noise)
+
+
+def is_disputed(state: SourceState) -> bool:
+    """Increments contradict the estimate alike: no noise."""
+    return max(state.sums, default=0.0) > _DISPUTED
 
 
 def widest(state: SourceState, rules: Rules) -> float:
     """Allowed deviation per component, sigma; less while increments contradict alike."""
-    is_disputed = max(state.sums, default=0.0) > _DISPUTED
-    return _DISPUTED_SIGMA if is_disputed else math.sqrt(gate(rules.gate_probability, 1))
+    return _DISPUTED_SIGMA if is_disputed(state) else math.sqrt(gate(rules.gate_probability, 1))
 
 
 def judged(state: SourceState, *, alone: bool, passed: bool, off: Array) -> tuple[SourceState, bool]:

@@ -89,7 +89,7 @@ def _values(streams: Streams, origin: Vec3 | None) -> Iterator[tuple[str, str, C
 def _relations(streams: Streams, guilty: set[str]) -> Iterator[tuple[str, str, Cause]]:
     sound = {name: s for name, s in streams.items() if name not in guilty}
     imu = next(((name, s) for name, s in sound.items() if s.kind == IMU), None)
-    yield from chain(_turns(sound, *imu) if imu else (), _ways(sound))
+    yield from chain(_turns(sound, *imu) if imu else (), _ways(sound), _lengths(sound))
     if odd := heights.odd(sound):
         yield odd[0], "way up", odd[1]
 
@@ -145,7 +145,8 @@ def _pose_cause(turned: turning.Turned, imu: Stream, s: Stream, found: Relation 
     cause = None
     if found is None or found.equal > 0.5:
         cause = turning.reordered(turned, s) or (turning.late(turned, s, found.equal) if found else None)
-    return cause or (pull.pulled(imu, s) if s.kind in (POSE, ODOMETRY) else None)
+    moves = s.kind in (POSE, ODOMETRY) and bool(np.ptp(s.values[:, :3], axis=0).any())
+    return cause or (pull.pulled(imu, s) if moves else None)
 
 
 def _alike(turns: list[np.ndarray]) -> bool:
@@ -174,6 +175,13 @@ def _ways(streams: Streams) -> Iterator[tuple[str, str, Cause]]:
         for n, r in other.items():
             if r is not None and r.differs() and streams[n].kind == POSE:
                 yield n, "way", _cause(streams[n], f"{position.of_position(r)}, against the positions of {name}")
+
+
+def _lengths(streams: Streams) -> Iterator[tuple[str, str, Cause]]:
+    known = [(n, s) for kind in (POSE, FIX) for n, s in streams.items() if s.kind == kind]
+    for n, s in streams.items():
+        if s.kind == ODOMETRY and (found := next((c for k, p in known if (c := position.stretched(s, p, k))), None)):
+            yield n, "pull", found
 
 
 def _late(fix: str, velocity: str, streams: Streams, late_s: float) -> tuple[str, str, Cause]:

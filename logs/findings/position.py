@@ -20,6 +20,7 @@ _LEAST_STEPS: Final = 8
 _LEAST_M: Final = 1.0  # RMS of a step: a receiver's noise is less
 _AWAY_STEPS: Final = 15
 _AWAY_M_S, _AWAY_SHARE, _TOGETHER_M_S = 0.7, 0.05, 0.2
+_ODOMETRY_M, _EXPLAINED, _LONGER = 0.5, 0.35, 1.15  # RMS of a step; share that is left; of the scale, beyond noise and heading
 _LATE_S: Final = [s for s in np.arange(-1.5, 1.55, 0.1) if abs(s) > 0.25]
 _LATE_M, _LATE_GAIN = 0.3, 0.3  # RMS of a step at the stamps as they are; of its power, what other stamps leave
 _ACCURACY_M: Final = (2e-3, 1e3)  # of any receiver that is of use
@@ -149,6 +150,24 @@ def late(fixes: Stream, velocity: Stream) -> float | None:
 def position_relation(fixes: Stream, others: Stream) -> Relation | None:
     """Way of the other source by that between fixes, horizontal."""
     return _related(positions(fixes), positions(others), 2)
+
+
+def stretched(odometry: Stream, known: Stream, name: str) -> Cause | None:
+    """Ways of an odometry of another length than those between known positions; name: of these."""
+    steps = _steps(positions(odometry), positions(known), 2)
+    if steps is None or len(steps[0]) < _AWAY_STEPS or np.mean(np.sum(steps[1] ** 2, axis=1)) ** 0.5 < _ODOMETRY_M:
+        return None
+    since_s = float(odometry.arrived_s[0])
+    if not steps[0].any():
+        return Cause(
+            f"its position never changes while {name} moves", since_s, "it has not begun, or is lost: let it be silent then"
+        )
+    found = relation(*steps)
+    if found.rest > _EXPLAINED or not found.scale > 0.0 or abs(np.log(found.scale)) < np.log(_LONGER):
+        return None
+    what = f"its ways are {1.0 / found.scale:.2f} times as long as those of {name}"
+    advice = "mend its scale (baseline, wheel radius), or let [odometry] scale_sigma be as large"
+    return Cause(what, since_s, advice)
 
 
 def of_velocity(found: Relation) -> str:

@@ -50,6 +50,7 @@ TICK_TOPIC: Final = "/landfix/tick"  # a std_msgs/msg/Header: its stamp is the t
 _COVARIANCE_UNKNOWN: Final = 0  # sensor_msgs/msg/NavSatFix
 _STATES: Final = {state.value: state for state in ReceiverState}  # all bits of service set (15) is none of them
 _SECOND_NS: Final = 1_000_000_000
+_LOST: Final = 9999.0  # RTAB-Map's
 
 
 class Topics(SensorTopics, frozen=True):
@@ -259,9 +260,11 @@ def _reading(kind: str, sensor: Sensor, topic: str, message: Any, arrived_ns: in
     return Reading(_t_ns(message.header.stamp), arrived_ns, topic, kind, *sensor.values(message))
 
 
-def _odometry_pose(topic: str, message: Any, arrived_ns: int) -> OdometryPose:
-    """The pose; its covariance is of all its past, the velocity redundant."""
+def _odometry_pose(topic: str, message: Any, arrived_ns: int) -> OdometryPose | Unusable:
+    """The pose; its covariance is of all its past, the velocity redundant. All variances of either that large: it is lost."""
     p_o, q_ob_wxyz, _ = _pose(message.pose)
+    if any(given.covariance.reshape(6, 6).diagonal().min() >= _LOST for given in (message.pose, message.twist)):
+        return Unusable(arrived_ns, arrived_ns, topic, f"tracking lost: every variance is {_LOST:.0f} or more")
     return OdometryPose(_t_ns(message.header.stamp), arrived_ns, p_o, q_ob_wxyz, one_line(message.header.frame_id), topic)
 
 

@@ -8,10 +8,11 @@ from msgspec.structs import replace
 
 from estimator.fusion import FusionConfig
 from estimator.sources.odometry import OdometryConfig, Row
+from models import so3
 from models.messages import ImuSample, Input, Mode, Reason
 from models.sim.scenario import EPOCH_NS, Simulation
 from models.state import E
-from tests.estimator.filter.relative.odometers import TOPIC, increments, poses
+from tests.estimator.filter.relative.odometers import TOPIC, increments, poses, quat
 from tests.estimator.scenes import Run, by_arrival, config_of, error, fly, position_errors, simulated, within
 
 FLIGHT = """
@@ -127,6 +128,16 @@ def test_a_scale_that_goes_wrong_in_an_outage_widens_the_covariance_and_is_repor
     assert run.statuses[-1].reason is Reason.FUSED
     assert "taken to be wrong by" in run.statuses[-1].detail
     assert "contradicted each other" in run.health[-1].detail
+    assert _ratio(run, simulation, LOST_S, END_S) < 5.4
+
+
+@pytest.mark.parametrize("turned", [so3.from_euler(0.0, 0.0, np.pi / 2.0), so3.from_euler(0.0, np.pi, 0.0)])
+def test_increments_in_other_axes_are_not_used_and_health_says_so(simulation: Simulation, turned: np.ndarray) -> None:
+    wrong = [replace(p, q_ob_wxyz=quat(so3.multiply(np.array(p.q_ob_wxyz), turned))) for p in poses(simulation, 15.0, END_S)]
+    run = _with(simulation, wrong)
+    late = [s for s in run.statuses if s.topic == TOPIC and s.t_ns > EPOCH_NS + round((LOST_S - 5.0) * 1e9)]
+    assert Reason.FUSED not in {s.reason for s in late}
+    assert "off by more than noise" in run.health[-1].detail
     assert _ratio(run, simulation, LOST_S, END_S) < 5.4
 
 

@@ -11,12 +11,14 @@ import math
 import numpy as np
 
 from estimator.filter.eskf import Eskf, Innovation
+from estimator.sources.base.learnt_noise import BEGINS_M_S
 from estimator.sources.odometry import DRIFT_M_S, FADES_S, OdometryAid, drift_block
 from models.measurements import mahalanobis
 from models.messages import Array
 from models.relative_pose import RelativePose
+from models.state import E
 
-BEGINS_M_S = 0.1  # sigma_b
+WORTH_SAYING_M_S = 0.25
 _MOST = 50.0  # ln
 _NOTHING_M2_S2 = 1e-6
 _XYZ = 3
@@ -50,6 +52,18 @@ def fade(eskf: Eskf, block: str, seconds: float) -> None:
     eskf.cov[at] *= a
     eskf.cov[:, at] *= a
     eskf.cov[at, at] += (1.0 - a * a) * DRIFT_M_S**2 * np.eye(at.stop - at.start)
+
+
+def hide(eskf: Eskf, block: str, sigma_m_s: float) -> None:
+    """P_dd,ii <- max(P_dd,ii, sigma^2): a drift of sigma changes the velocity by no more than increments do."""
+    if block not in eskf.slow.columns:
+        return
+    at = eskf.slow.columns[block]
+    more = np.diag(np.maximum(sigma_m_s**2 / eskf.variance_factor - eskf.cov[at, at].diagonal(), 0.0))
+    eskf.cov[at, at] += more
+    eskf.cov[E.V, E.V] += more
+    eskf.cov[E.V, at] -= more
+    eskf.cov[at, E.V] -= more
 
 
 def sigma_m_s(eskf: Eskf, block: str) -> float:

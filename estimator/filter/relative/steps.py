@@ -17,8 +17,10 @@ from estimator.sources import odometry
 from estimator.sources.base.gating import gate
 from estimator.sources.base.machine import Phase, SourceState
 from estimator.sources.odometry import Begins, Increment, Kept, OdometryAid, Posed
+from models import so3
 from models.messages import Array, Reason
 from models.relative_pose import RelativePose
+from models.state import E
 
 _MOST_SAID = 0.5  # ln: c
 _XYZ = 3
@@ -92,6 +94,7 @@ def _judge(bank: Hypotheses, aid: OdometryAid, end: Increment, kept: Kept, state
         aid, z, spread_m = odometry.widened(aid, z, end.reported, state.spread_m)
         state = replace(state, spread_m=spread_m)
     seconds = (aid.t_ns - kept.t_ns) * 1e-9
+    aid, z = odometry.as_learnt(aid, z, state.noise.roots)
     aid = odometry.drifting(aid, bank.lead.clones[block], seconds)
     if not alone:
         for member in bank.members:
@@ -101,25 +104,44 @@ def _judge(bank: Hypotheses, aid: OdometryAid, end: Increment, kept: Kept, state
     assert first is not None
     limit, widest = gate(aid.rules.gate_probability, len(z.rows)), odometry.widest(state, aid.rules)
     passed = [s is not None and s.distance2 <= limit and bool(_off(s).max() <= widest) for s in seen]
-    rows = z.rows < _XYZ
-    state, is_found = odometry.judged(state, alone=alone, passed=passed[0], off=_off(first)[rows if rows.any() else ~rows])
-    is_active = state.phase is Phase.ACTIVE
+    state, is_found = odometry.judged(state, alone=alone, passed=passed[0], off=_level(first, z, bank.lead.clones[block]))
+    is_active, is_found = state.phase is Phase.ACTIVE and state.noise.is_noise, is_found and state.noise.is_noise
+    noise = state.noise
+    if not (alone and odometry.is_disputed(state)):
+        noise = noise.also(first.nu, first.s, first.noise, z.rows, seconds)
     if is_found:
         _found(bank, aid, z, seen, alone=alone)
     elif is_active:
         _fuse(bank, aid, z, seen, passed)
+        if passed[0]:
+            noise = noise.fused(first.hp[:, E.V], first.s, seconds)
+            for member in bank.members:
+                drift.hide(member.filter, velocity, noise.hidden_m_s)
+    state = replace(state, noise=noise)
     sigma_m_s = drift.sigma_m_s(bank.lead, velocity)
     for member in bank.members:
         if block in member.filter.clones:
             member.filter.forget(block)
     fused = is_active and passed[0] and not is_found
     reason = Reason.FUSED if fused else Reason.PROBATION if passed[0] and not is_active else Reason.GATED
-    said = _DISPUTED.format(sigma_m_s) if sigma_m_s > drift.BEGINS_M_S else ""
+    said = _DISPUTED.format(sigma_m_s) if sigma_m_s > drift.WORTH_SAYING_M_S else ""
+    said = said if state.noise.is_noise else odometry.WRONG
     return Step(reason, said, kept._replace(name=b""), state if not fused else replace(state, fused_ns=aid.t_ns), first, limit)
 
 
 def _off(seen: Innovation) -> Array:
     return np.abs(seen.nu) / np.sqrt(seen.s.diagonal())
+
+
+def _level(seen: Innovation, z: RelativePose, origin: Array) -> Array:
+    """nu_i / sigma_i of a translation, in n where all of it is given: there a drift lasts. Else of the rotation."""
+    rows = z.rows < _XYZ
+    if rows.sum() < _XYZ:
+        rows = rows if rows.any() else ~rows
+        return seen.nu[rows] / np.sqrt(seen.s.diagonal()[rows])
+    R = so3.matrix(origin[_XYZ:])
+    level: Array = R @ seen.nu[rows] / np.sqrt((R @ seen.s[np.ix_(rows, rows)] @ R.T).diagonal())
+    return level
 
 
 def _found(bank: Hypotheses, aid: OdometryAid, z: RelativePose, seen: list[Innovation | None], *, alone: bool) -> None:

@@ -12,6 +12,7 @@ import msgspec
 from msgspec.structs import replace
 
 from estimator.sources.base.gating import cusum
+from estimator.sources.base.learnt_noise import LearntNoise
 from estimator.sources.base.rules import Rules
 from models.messages import Array
 
@@ -42,6 +43,7 @@ class SourceState(msgspec.Struct, frozen=True):
     spoofed_ns: int = _NEVER  # last reading whose receiver reported spoofing
     false_share: float = 0.0  # of its last reading
     spread_m: tuple[float, float] = (math.inf, 0.0)  # of odometry: smallest and largest sigma of late, fading since last_ns
+    noise: LearntNoise = LearntNoise()  # of odometry
 
     def arrive(self, rules: Rules, t_ns: int, *, alone: bool) -> "SourceState":
         """A measurement arrives; alone: no other absolute source is active.

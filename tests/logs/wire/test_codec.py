@@ -588,6 +588,16 @@ def test_a_message_cut_anywhere_is_unusable(encoded: tuple[str, str, bytes]) -> 
         assert "\n" not in got.detail
 
 
+@pytest.mark.parametrize("part", ["pose", "twist"])
+def test_an_odometry_that_says_it_is_lost_gives_no_pose(part: str) -> None:
+    topic, schema, data = next(e for e in ENCODED if e[:2] == ("/odometry", schemas.ODOMETRY))
+    for variances, kind in ((np.full(6, 9999.0), Unusable), (np.array([0.1, 0.1, 1e6, 1e6, 1e6, 0.1]), OdometryPose)):
+        message = schemas.STORE.deserialize_cdr(data, schema)
+        getattr(message, part).covariance = np.diag(variances).ravel()
+        sent = bytes(schemas.STORE.serialize_cdr(message, schema))
+        assert isinstance(Decoder(ALL).decode(topic, schema, sent, ARRIVED_NS), kind)
+
+
 def test_wrong_type_short_type_name_unknown_topic_and_nonsense_stamp() -> None:
     decode: Callable[..., Input | None] = Decoder(ALL).decode
     topic, schema, data = ENCODED[0]

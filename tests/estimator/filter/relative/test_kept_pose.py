@@ -92,7 +92,7 @@ def test_an_increment_tells_of_the_velocity_and_not_of_the_position() -> None:
     assert abs(f.x[X.V][0] - 2.3) < 0.05
     assert abs(f.x[X.P][0] - 2.0) < 0.5
     assert f.cov[0, 0] > 0.4**2
-    assert f.cov[3, 3] < 0.1**2
+    assert f.cov[3, 3] < 0.15**2
     assert BLOCK not in f.clones
     assert BLOCK not in f.slow.columns
 
@@ -142,12 +142,12 @@ def test_where_it_contradicts_for_good_and_no_other_source_decides_the_covarianc
     f.cov[:3, 3:6] = f.cov[3:6, :3] = 0.0
     bank, samples, state = Hypotheses([Hypothesis(f)]), _samples(), SourceState()
     for k in range(5):
-        end = _aid((0.7, 0.0, 0.0), k * SECOND // 2, (k + 1) * SECOND // 2)
+        end = _aid((0.2, 0.0, 0.0), k * SECOND // 2, (k + 1) * SECOND // 2)
         kept = steps.take(bank, _begin(end), None, state, alone=True).kept
         f.propagate(samples, samples.first_after(f.t_ns), end.t_ns)
         step = steps.take(bank, end, kept, state, alone=True)
         state = step.state
     assert (state.phase, step.reason) == (Phase.ACTIVE, Reason.GATED)
-    assert drift.sigma_m_s(f, drift_block(end.topic)) == pytest.approx(0.6, abs=0.02)
+    assert drift.sigma_m_s(f, drift_block(end.topic)) == pytest.approx(1.6, abs=0.02)
     assert abs(f.x[X.V][0] - 2.0) < 0.1  # the IMU's
-    assert 3.0 * np.sqrt(f.cov[3, 3]) > 0.6  # the odometry's 1.4 m/s is within three sigma
+    assert 3.0 * np.sqrt(f.cov[3, 3]) > 1.6  # the odometry's 0.4 m/s is within three sigma
