@@ -31,6 +31,7 @@ from models.state import E, X, retract, sound
 _WIDEST = 1.0  # rad: of the attitude after widen()
 _XYZ = 3
 NO_CLONES: dict[str, Array] = {}
+_ARITHMETIC = 1e-12  # epsilon: an update rounds P by less than this share of S; in SI units
 _LN_2PI = math.log(2.0 * math.pi)
 _kalman = cache(ErrorStateKalman)  # one wrapper for each size of the state
 _identity = cache(np.eye)
@@ -181,10 +182,11 @@ class Eskf:
             columns = self.slow.columns[block]
             moved = _identity(columns.stop - columns.start) if jacobian is None else jacobian
             h[:, columns] = moved if len(moved) == m else moved[z.rows]
-        hp, s, distance2, logdet = compare(nu, self.cov, h, noise, self.slow.mean)
+        hp, noise, s, distance2, logdet = compare(nu, self.cov, h, noise, self.slow.mean)
         if isinstance(z, Curved):
             bend = z.bend(self.x, self.cov, nu, h, s)
-            noise, s = noise + bend, s + bend
+            s = s + bend
+            noise = resolved(noise + bend, s)
             distance2, logdet = mahalanobis(nu, s)
         if (f := self.variance_factor) > 1.0:
             s, distance2, logdet = f * s, distance2 / f, logdet + m * math.log(f)
@@ -235,14 +237,34 @@ _T, _G, _N = E.THETA.start, E.BG.start, E.SIZE
 
 
 @njit(cache=True, error_model="numpy")
-def compare(nu: Array, cov: Array, h: Array, noise: Array, mean: Array) -> tuple[Array, Array, float, float]:
-    """H P, S, nu^T S^-1 nu and ln det S, after nu <- nu - H_s s in place; s: mean (n - 15,) of the slow errors."""
+def compare(nu: Array, cov: Array, h: Array, noise: Array, mean: Array) -> tuple[Array, Array, Array, float, float]:
+    """H P, R, S, nu^T S^-1 nu and ln det S, after nu <- nu - H_s s in place; s: mean (n - 15,) of the slow errors."""
     for i in range(nu.shape[0]):
         for k in range(mean.shape[0]):
             nu[i] -= h[i, _N + k] * mean[k]
     s, hp = innovation_covariance(cov, h, noise)
+    noise = resolved(noise, s)
     distance2, logdet = mahalanobis(nu, s)
-    return hp, s, distance2, logdet
+    return hp, noise, s, distance2, logdet
+
+
+@njit(cache=True, error_model="numpy")
+def resolved(noise: Array, s: Array) -> Array:
+    """R (m, m), or R + epsilon (I + diag S) and S likewise, in place, where R - epsilon (I + diag S) is not positive definite.
+
+    No reading is more exact than the arithmetic: P would not be positive definite after it.
+    """
+    more = noise.copy()
+    for i in range(s.shape[0]):
+        more[i, i] -= _ARITHMETIC * (1.0 + s[i, i])
+    if cholesky.factor(more, more):
+        return noise
+    more = noise.copy()
+    for i in range(s.shape[0]):
+        rounding = _ARITHMETIC * (1.0 + s[i, i])
+        more[i, i] += rounding
+        s[i, i] += rounding
+    return more
 
 
 @njit(cache=True, error_model="numpy")

@@ -26,6 +26,7 @@ _LIKELY = 0.25  # share of the unknown motion within which an IMU that is wrong 
 _SEEN = 3.0  # ln: so far behind the leading one a new follower counts in the covariance
 _UNSEEN = 10.0  # ln: by so much less one counts there whose source is refused already
 _OTHER_BIASES = np.repeat((0.01, 0.1), 3)  # rad/s, m/s^2: by so much they may differ after a fault of the IMU
+_HARDLY = 0.05  # of the largest singular value of H_p: what a fix measures less is no jump
 _FEW = 3  # fixes of a follower, too few to decide
 
 
@@ -33,7 +34,7 @@ def begin(lead: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, limit: floa
     """A copy of the leading hypothesis that fuses the fix; weight: relative to it.
 
     IMU wrong: P <- P + Q(dt) of an unknown motion since the last fix; from here on it coasts. Where that does not explain the
-    fix: P_pp <- P_pp + nu_p nu_p^T, same motion; likewise the attitude.
+    fix: P_pp <- P_pp + o o^T, o the shortest with H_p o = nu, same motion; likewise the attitude, half a turn at most.
     """
     other = lead.copy()
     other.without, other.doubts = "", {}
@@ -51,7 +52,9 @@ def begin(lead: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, limit: floa
     eskf.cov[: E.SIZE, : E.SIZE] += (1.0 - _LIKELY) * unknown
     if not by_imu:
         for part in (E.P, E.THETA):
-            off = seen.h[:, part].T @ seen.nu
+            off = np.linalg.pinv(seen.h[:, part], rcond=_HARDLY) @ seen.nu
+            if part is E.THETA:
+                off *= math.pi / max(float(np.linalg.norm(off)), math.pi)
             eskf.cov[part, part] += np.outer(off, off)
     seen = innovation(eskf, aid, z, gyro_b)
     other.weight = behind(lead, aid, vouched=vouched, by_imu=by_imu)

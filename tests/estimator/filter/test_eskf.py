@@ -52,6 +52,19 @@ def test_a_precise_pose_takes_the_estimate_to_the_truth() -> None:
     assert np.sqrt(np.diag(eskf.cov)[E.P]).max() < 2e-5
 
 
+@pytest.mark.parametrize("scale", [1.0, 1e6])
+@pytest.mark.parametrize("least", [1e-150, 1e-15])
+@pytest.mark.parametrize("largest", [1.0, 1e19])
+def test_a_covariance_stays_positive_definite_however_exact_a_reading_is(scale: float, least: float, largest: float) -> None:
+    x, rng = _truth(), np.random.default_rng(0)
+    eskf = Eskf(0, x.copy(), scale * _covariance(), CONSTANTS)
+    for _ in range(20):
+        noise = np.diag(np.where(rng.random(6) < 0.5, least, largest))
+        eskf.update(eskf.innovation(Pose(x[X.P].copy(), x[X.Q].copy(), noise, np.arange(6)), GYRO))
+        np.linalg.cholesky(eskf.cov)
+    assert eskf.sound
+
+
 def test_the_errors_are_as_large_as_the_covariance_reports_before_and_after_an_update() -> None:
     """NEES over draws of prior and measurement; every bound two-sided."""
     rng, truth, lever = np.random.default_rng(3), _truth(), np.array([0.5, 0.0, 0.2])
