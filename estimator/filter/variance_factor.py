@@ -1,9 +1,11 @@
 """Variance of unit weight: ratio of actual errors to P and R (docs/decision.md; Koch 1999, sec. 3.2.5).
 
-    r_k = nu^T S^-1 nu / m_50(m),   f_k = max(median(r_k-6 ... r_k), 1 + (f_k-1 - 1) exp(-dt / tau))
+    r_k = nu^T S^-1 nu / m_50(m),   e_k = min(median(r_k-6 ... r_k), r_(2) m_50 / m_5),
+    f_k = max(e_k, 1 + (f_k-1 - 1) exp(-dt / tau))
 
-m_50(m): median of chi-square, m degrees of freedom. Covariances become f P and f S; K is the same. After 20 usual readings a
-ratio beyond noise does not count. f >= 1; published, it lasts four times as long. Of several sources the least median counts.
+m_50(m), m_5(m): quantiles of chi-square, m degrees of freedom; r_(2): second smallest of the seven, which is that small only if
+false fixes are among them. Covariances become f P and f S; K is the same. After 20 usual readings a ratio beyond noise does not
+count. f >= 1; published, it lasts four times as long. Of several sources the least e counts.
 """
 
 import math
@@ -14,7 +16,7 @@ from typing import NamedTuple
 from estimator.sources.base.gating import gate
 
 _WINDOW, _FEWEST = 7, 5  # readings of a topic
-_USUAL = 0.96  # share of good readings
+_USUAL, _RARE = 0.96, 0.05  # shares of good readings below an unusual median, and below what two of seven hardly are
 LARGEST = 20.0  # more is no noise: a false fix, or an IMU whose axes are wrong
 LARGEST_AT_FIRST = 1e4  # before the model has been right for a while, it is what may be wrong
 _ENOUGH = 20  # readings in a row
@@ -23,19 +25,21 @@ _SILENT_S = 10.0  # a source that is silent for longer has no say
 
 
 class Recent(NamedTuple):
-    """Newest ratios r of a topic, and the largest usual median."""
+    """Newest ratios r of a topic, the largest usual median, and m_5 / m_50."""
 
     t_ns: int
     ratios: tuple[float, ...]
     usual: float
+    rare: float
 
     @property
     def excess(self) -> float:
-        """The median, 1 if usual or of too few."""
+        """e, 1 if the median is usual or of too few."""
         if len(self.ratios) < _FEWEST:
             return 1.0
-        middle = sorted(self.ratios)[(len(self.ratios) - 1) // 2]
-        return middle if middle > self.usual else 1.0
+        ordered = sorted(self.ratios)
+        middle = ordered[(len(ordered) - 1) // 2]
+        return max(min(middle, ordered[1] / self.rare), 1.0) if middle > self.usual else 1.0
 
 
 class VarianceFactor(NamedTuple):
@@ -56,7 +60,7 @@ class VarianceFactor(NamedTuple):
         if ratio <= largest:
             ratios = (*ratios[1 - _WINDOW :], ratio)
         recent = {name: r for name, r in self.recent.items() if (t_ns - r.t_ns) * 1e-9 < _SILENT_S}
-        recent[topic] = Recent(t_ns, ratios, gate(_USUAL, dof) / middle)
+        recent[topic] = Recent(t_ns, ratios, gate(_USUAL, dof) / middle, gate(_RARE, dof) / middle)
         excess = min([r.excess for r in recent.values()])
         seconds = (t_ns - self.t_ns) * 1e-9
         value = max(excess, _faded(self.value, seconds, _FADES_S))
