@@ -28,7 +28,7 @@ from models.messages import Array
 from models.relative_pose import POSE_ERROR, moved, pose_of
 from models.state import E, X, retract, sound
 
-_WIDEST = 1.0  # rad: of the attitude after widen()
+_WIDEST = 1.0  # rad: sigma of an attitude that is unknown
 _XYZ = 3
 NO_CLONES: dict[str, Array] = {}
 _ARITHMETIC = 1e-12  # epsilon: an update rounds P by less than this share of S; in SI units
@@ -145,6 +145,13 @@ class Eskf:
         self.cov[:_G, :_G] *= turned
         if turned < factor**2:
             self.cov[:_T, :_T] *= factor**2 / turned
+
+    def limit_attitude(self) -> None:
+        """P <- D P D where an attitude is known worse than _WIDEST: it is unknown, and no further off than that."""
+        sigma = math.sqrt(self.variance_factor * max(self.cov.diagonal()[E.THETA].tolist()))
+        if sigma > _WIDEST:
+            self.cov[E.THETA, :] *= _WIDEST / sigma
+            self.cov[:, E.THETA] *= _WIDEST / sigma
 
     def admit_noise(self, seen: Innovation, noise: Array, readings: int) -> None:
         """The last k readings were fused with R, and their noise is R' (m, m): P <- P + k K (R' - R) K^T, K = P H^T S^-1."""

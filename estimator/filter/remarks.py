@@ -12,7 +12,7 @@ from estimator.filter.relative import drift
 from estimator.sources.base.machine import SourceState
 from estimator.sources.odometry import DRIFT, WRONG, drift_block
 
-VOUCHED_NS = 60_000_000_000  # a source that was fused since then is one to compare another with
+VOUCHED_NS = 10_000_000_000  # a source that was fused since then is one to compare another with
 _NEW_NS = 1_000_000_000
 _NOISY = 9.0  # times the variance
 _WORTH_SAYING = 2.0  # of the variance of unit weight

@@ -50,6 +50,7 @@ _UNKNOWN = SourceState()
 _SPOOFED = "its receiver reports spoofing"
 _NO_RATE = np.zeros(3)
 _FOR_ALIGNED = "odometry is used once aligned"
+_PULLED_NS = 60_000_000_000  # a receiver whose speed has stepped is compared with a source that was fused since then
 _LOST_NS = 60_000_000_000  # an IMU gap after which the alignment begins again
 _NOT_YET = "used once the attitude is known: false axes would mislead the alignment"
 _XYZ = 3
@@ -503,8 +504,10 @@ class Tracker:
         lead.widen(max(1.0, float(np.linalg.norm(off) / np.sqrt(np.trace(lead.cov[E.P, E.P])))))
 
     def _vouched(self, aid: Aid) -> bool:
-        others = self.core.absolute - {aid.topic}
-        return any(aid.t_ns - self.sources.get(topic, _UNKNOWN).fused_ns < remarks.VOUCHED_NS for topic in others)
+        """Whether another source gave positions lately, or since a receiver's speed has stepped: an IMU's error grows."""
+        others, step = self.core.absolute - {aid.topic}, self.speed_steps.get(aid.topic)
+        within_ns = _PULLED_NS if step is not None and step.net.any() else remarks.VOUCHED_NS
+        return any(aid.t_ns - self.sources.get(topic, _UNKNOWN).fused_ns < within_ns for topic in others)
 
     def _note_absolute(self, aid: Aid, z: Measurement) -> None:
         core = self.core

@@ -1,9 +1,9 @@
 """Variance of unit weight: ratio of actual errors to P and R (docs/decision.md; Koch 1999, sec. 3.2.5).
 
-    r_k = nu^T S^-1 nu / m_50(m),   e_k = min(median(r_k-6 ... r_k), r_(2) m_50 / m_5),
+    r_k = nu^T S^-1 nu / m_50(m),   e_k = min(median(r_k-6 ... r_k), r_(2) m_50 / m_2),
     f_k = max(e_k, 1 + (f_k-1 - 1) exp(-dt / tau))
 
-m_50(m), m_5(m): quantiles of chi-square, m degrees of freedom; r_(2): second smallest of the seven, which is that small only if
+m_50(m), m_2(m): quantiles of chi-square, m degrees of freedom; r_(2): second smallest of the seven, which is that small only if
 false fixes are among them. Covariances become f P and f S; K is the same. After 20 usual readings a ratio beyond noise does not
 count. f >= 1; published, it lasts four times as long. Of several sources the least e counts.
 """
@@ -16,7 +16,7 @@ from typing import NamedTuple
 from estimator.sources.base.gating import gate
 
 _WINDOW, _FEWEST = 7, 5  # readings of a topic
-_USUAL, _RARE = 0.96, 0.05  # shares of good readings below an unusual median, and below what two of seven hardly are
+_USUAL, _RARE = 0.96, 0.02  # shares of good readings below an unusual median, and below what two of seven hardly are
 LARGEST = 20.0  # more is no noise: a false fix, or an IMU whose axes are wrong
 LARGEST_AT_FIRST = 1e4  # before the model has been right for a while, it is what may be wrong
 _ENOUGH = 20  # readings in a row
@@ -25,7 +25,7 @@ _SILENT_S = 10.0  # a source that is silent for longer has no say
 
 
 class Recent(NamedTuple):
-    """Newest ratios r of a topic, the largest usual median, and m_5 / m_50."""
+    """Newest ratios r of a topic, the largest usual median, and m_2 / m_50."""
 
     t_ns: int
     ratios: tuple[float, ...]

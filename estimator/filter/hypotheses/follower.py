@@ -19,7 +19,7 @@ from models.messages import Array
 from models.state import E, X
 
 AGAIN_S = 0.4  # a fix that is refused again costs 1 / AGAIN_S a second, ln
-_RECEIVER_S = 2.0  # the same of a receiver alone, whose readings share their error: a barometer has its say
+_RECEIVER_S = 0.8  # the same of a receiver alone, whose readings share their error: a barometer has its say
 _CONFIRMED_S = 60.0  # a run that another source confirms wins against a shorter one, up to this length
 _UNSEEN_S, _FORGOTTEN_S = 0.5, 5.0  # a wrong IMU has been so since the last fix, within these limits
 _LIKELY = 0.25  # share of the unknown motion within which an IMU that is wrong explains a fix

@@ -117,6 +117,9 @@ class Hypotheses:
         trusted: the source's machine permits fusion; vouched: another source gave positions lately.
         """
         limit = gate(aid.rules.gate_probability, len(z.rows))
+        for member in self.members:
+            if member.doubts_imu:  # nothing shows its attitude until the IMU is right again
+                member.filter.limit_attitude()
         seen = [innovation(m.filter, aid, z, gyro_b) for m in self.members]
         passed = [s.distance2 <= limit for s in seen]
         if not trusted:
@@ -257,8 +260,8 @@ class Hypotheses:
             member.filter.update(seen)
             if doubt:
                 del member.doubts[aid.topic]
-                member.benefit = 0.0
                 if aid.absolute:
+                    member.benefit = 0.0
                     member.note_jump(before_n, aid.t_ns)
             if aid.absolute:
                 member.note_fused(aid.t_ns)
