@@ -70,7 +70,7 @@ def test_two_receivers_with_tables_of_their_own_are_both_fused() -> None:
         assert set(reasons) <= {Reason.ALIGNING, Reason.FUSED, Reason.GATED}, topic  # neither was ever stopped
         assert reasons.get(Reason.GATED, 0) < 0.03 * reasons[Reason.FUSED]
     assert _worst_m(run, 15.0) < 2.5
-    assert _worst_m(_fly(TOML), 15.0) > 4.0  # the rear one taken for 4 m ahead and a quarter of a second younger than it is
+    assert _worst_m(_fly(TOML), 15.0) > 3.5  # the rear one taken for 4 m ahead and a quarter of a second younger than it is
 
 
 def test_one_that_differs_is_named_and_the_other_one_leads_without_a_jump() -> None:

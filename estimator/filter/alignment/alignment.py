@@ -143,7 +143,7 @@ class Alignment:
             else:
                 self.begun_by = aid.topic
                 return self._find_heading(aid, z, at, samples, gyro_b)
-        elif aid.absolute and isinstance(z, Position | Pose) and self._may_begin_again and self._end_search(z, samples):
+        elif aid.absolute and isinstance(z, Position | Pose) and self._may_begin_again and self._end_search(aid, z, samples):
             self.begun_by = aid.topic
             return Decision(Reason.ALIGNING)
         self._go_on(aid, z, samples, gyro_b)
@@ -276,7 +276,7 @@ class Alignment:
         return not self.contradiction.unforeseen and core.t_ns - since_ns >= _PROVEN_NS * 3 ** min(self.given_up, _THRICE_AT_MOST)
 
     def _find_heading(self, aid: Aid, z: Position | Pose, at: Level, samples: ImuBuffer, gyro_b: Array) -> Decision:
-        core = self.core
+        core, z = self.core, initialise.with_slow_errors(aid, z)
         config = core.config.initialise
         if self._start_from_prior(z, at, samples) or self._start_from_sensed(z, at, samples):
             return Decision(Reason.ALIGNING)
@@ -312,8 +312,8 @@ class Alignment:
     def _may_begin_again(self) -> bool:
         return self._seeks_heading or (self.prior is not None and bool(self.prior[2]) and self._has_blurred)
 
-    def _end_search(self, z: Position | Pose, samples: ImuBuffer) -> bool:
-        core = self.core
+    def _end_search(self, aid: Aid, z: Position | Pose, samples: ImuBuffer) -> bool:
+        core, z = self.core, initialise.with_slow_errors(aid, z)
         stretch = core.recent(samples)
         return stretch is not None and self._start_from_prior(
             z, initialise.level(core.t_ns, stretch, core.config.initialise, may_rest=False), samples
@@ -330,8 +330,10 @@ class Alignment:
         begun = initialise.start_from_attitude(core.t_ns, z, at, prior, core.constants, core.config.initialise)
         if begun is not None:
             core.hypotheses, core.stretch = begun, Stretch.of(begun.lead)
-            if at.still and topic:  # nothing has shown yet whether its heading is right
-                self.without_sensor = WithoutSensor(*self._all_headings(z, at), topic, core.t_ns, z)
+            beside = self.without_sensor
+            if topic and (at.still or beside is not None):  # nothing has shown yet whether its heading is right
+                self.without_sensor = WithoutSensor(*self._all_headings(z, at), topic, core.t_ns, z if at.still else None)
+                self.without_sensor.odds = beside.odds if beside is not None else self.without_sensor.odds
         return begun is not None
 
     def _start_from_sensed(self, z: Position | Pose, at: Level, samples: ImuBuffer) -> bool:

@@ -8,7 +8,7 @@ with eight headings (Gaussian sum; Sorenson and Alspach 1971), not at rest.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Final
 
 import msgspec
@@ -33,6 +33,7 @@ LEVEL_NS: Final = 1_000_000_000  # of specific force, used to level
 _STILL_ACCEL, _STILL_RATE = 0.3, 0.15  # m/s^2 (deviation), rad/s (mean) below which the vehicle may be at rest
 MOVING_TILT: Final = math.radians(12.0)  # sigma of roll and pitch levelled in motion
 _TURNED, _SIGMAS = math.radians(30.0), 3.0  # a larger error of a fix' attitude is no noise, nor one of its mounting
+_UNKNOWN_SLOW = 9.0  # c
 _BROAD = 1e6  # on the covariance of a pose: it says next to nothing
 _HOPELESS = 12.0  # ln: a heading so far behind is dropped
 
@@ -186,6 +187,17 @@ def agrees(bank: Hypotheses, prior: Pose) -> bool:
         if off @ np.linalg.solve(cov, off) - 2.0 * member.weight <= gate(_LEVEL_GATE, 3):
             return True
     return False
+
+
+def with_slow_errors(aid: Aid, z: Position | Pose) -> Position | Pose:
+    """A receiver's position with R + 9 P_ss: off by the slow error s that its next readings share.
+
+    Of prior variance c P_ss, readings leave c / (c + 1) P_ss.
+    """
+    if isinstance(z, Pose):
+        return z
+    slow = [e.covariance for e in aid.slow_errors if e.jacobian is None and e.walk is None and len(e.covariance) == len(z.noise)]
+    return replace(z, noise=sum((_UNKNOWN_SLOW * covariance for covariance in slow), z.noise))
 
 
 def heading_unknown(t_ns: int, z: Position | Pose, at: Level, constants: Array, config: InitialiseConfig) -> Eskf:
