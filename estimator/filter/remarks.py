@@ -54,6 +54,11 @@ def wrong(sources: Mapping[str, SourceState]) -> list[str]:
     return [f"{topic}: {WRONG}" for topic, state in sorted(sources.items()) if not state.noise.is_noise]
 
 
+def two_headings(topics: tuple[str, str]) -> str:
+    """Neither is taken."""
+    return f"the headings of {' and '.join(topics)} differ: neither is used, the motion shows it"
+
+
 def drifts(hypotheses: Hypotheses | None) -> list[str]:
     """Odometry that contradicted the IMU."""
     if hypotheses is None:

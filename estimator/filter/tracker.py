@@ -196,7 +196,10 @@ class Tracker:
         if self.alignment.shown is None:
             return []
         beside = self.alignment.without_sensor if core.is_aligned else None
+        two = self.alignment.two_headings
+        undecided = two is not None and core.t_ns < self.alignment.wrong_until_ns.get(two[0], NEVER)
         return [
+            *([remarks.two_headings(two)] if two is not None and undecided else ()),
             *filter(None, (self._conflict(), remarks.heading(beside.topic) if beside is not None else "")),
             *(remarks.apart(core.conflicts.apart) if core.is_aligned and not self._conflict() else ()),
             *remarks.units(self.path_scale, core.absolute),

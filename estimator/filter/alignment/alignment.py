@@ -42,6 +42,7 @@ _PROVEN_NS = 900_000_000  # in so long an IMU shows that it is right; each time 
 _THRICE_AT_MOST = 2
 _BESIDE_NS = 5_000_000_000
 _WRONG_NS = 30_000_000_000  # a heading that motion has refuted is not asked for
+_UNDECIDED_NS = 600_000_000_000  # nor are two that differ
 _FRESH_NS = 2_000_000_000  # a prior attitude is of now
 _XYZ = 3
 _LARGEST_NOISE = math.radians(30.0)  # a larger innovation of attitude is not the noise of a fix
@@ -66,7 +67,8 @@ class Alignment:
         self.prior: tuple[int, Pose, str] | None = None  # and its topic; "": the course
         self.sensed: tuple[Aid, Heading] | None = None  # the newest heading that was measured, until it is aligned
         self.without_sensor: WithoutSensor | None = None
-        self.wrong_until_ns: dict[str, int] = {}  # topics whose heading motion has refuted
+        self.wrong_until_ns: dict[str, int] = {}  # topics whose heading motion, or another sensor, has refuted
+        self.two_headings: tuple[str, str] | None = None  # that differed last
         self.resting: Resting | None = None
         self.waits_since_ns: int | None = None  # for its heading
         self.shows_unaligned = False
@@ -359,6 +361,11 @@ class Alignment:
         elif isinstance(z, Heading):
             if beside is None and not core.is_aligned:
                 self.without_sensor = WithoutSensor(core.hypotheses.copy(), core.stretch, aid.topic, core.t_ns)
+            elif beside is not None and aid.topic != beside.topic and beside.differs(aid, z, core.hypotheses.lead):
+                self.two_headings = beside.topic, aid.topic
+                self.wrong_until_ns = self.wrong_until_ns | dict.fromkeys(self.two_headings, core.t_ns + _UNDECIDED_NS)
+                self.sensed = self.prior = None
+                self.begin_again()
         elif beside is not None and isinstance(z, Position | Pose | Velocity):
             beside.take(aid, z, gyro_b, core.hypotheses, at_rest=self._rests(beside, z, samples))
             known = core.is_aligned and initialise.aligned(beside.bank, config)

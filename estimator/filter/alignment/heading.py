@@ -7,7 +7,7 @@ published as unknown, tilt with the levelling variance added, heading sigma x 3,
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -15,13 +15,13 @@ from numba import njit
 from estimator.filter.alignment import initialise
 from estimator.filter.alignment.initialise import InitialiseConfig, Level
 from estimator.filter.eskf import Eskf
-from estimator.filter.hypotheses import Hypotheses
+from estimator.filter.hypotheses import Hypotheses, innovation
 from estimator.filter.relinearise import Stretch
 from estimator.sources.base.aid import Aid
 from estimator.sources.base.gating import gate
 from models import so3
 from models.frames import GRAVITY
-from models.measurements import Measurement, Pose, Position, Velocity
+from models.measurements import Heading, Measurement, Pose, Position, Velocity
 from models.messages import Array
 from models.state import E, X, local
 
@@ -30,6 +30,7 @@ _MARGIN = 3.0  # ln: by which the headings without the sensor must be better
 _KNOWN = math.radians(1.5)
 _AGREE = 0.9999  # share of right sensors that agree with the motion
 _LIKELY = -2.2  # ln: 1 in 10
+_DIFFERING = 3  # readings in a row: no noise
 _REFUTED = 3  # positions in a row that nobody at rest foresees
 _SLOWEST_M_S = 1.0  # whoever is slower may be pushed in any direction
 _SHARPEST = 0.35  # rad: a course that is less well known than this is none
@@ -104,10 +105,17 @@ class WithoutSensor:
     began_ns: int
     since: Position | Pose | None = None
     odds: float = math.log(_WRONG_SENSORS)
+    differing: int = 0  # readings of another heading sensor in a row
 
     def copy(self) -> "WithoutSensor":
         """An independent one in the same state."""
-        return WithoutSensor(self.bank.copy(), self.stretch, self.topic, self.began_ns, self.since, self.odds)
+        return replace(self, bank=self.bank.copy())
+
+    def differs(self, aid: Aid, z: Heading, lead: Eskf) -> bool:
+        """Whether another sensor has shown another heading than this one, with this reading."""
+        apart = innovation(lead.copy(), aid, z, np.zeros(3)).distance2 > gate(aid.rules.gate_probability, len(z.rows))
+        self.differing = self.differing + 1 if apart else 0
+        return self.differing >= _DIFFERING
 
     def take(self, aid: Aid, z: Measurement, gyro_b: Array, trusting: Hypotheses, *, at_rest: bool) -> None:
         """Fuse another sensor's measurement, not yet fused by those who trust this one."""
