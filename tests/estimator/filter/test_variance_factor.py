@@ -49,8 +49,9 @@ def test_true_fixes_lead_although_many_are_false_at_random(share: float) -> None
     flight, rng = simulated(FLIGHT, seed=1), np.random.default_rng(7)
 
     def at_random(m: Input) -> Input:
-        is_false = isinstance(m, PoseFix) and rng.random() < share
-        return replace(m, p_n=vec3(m.p_n + rng.normal(0.0, 20.0, 3))) if is_false else m
+        if isinstance(m, PoseFix) and rng.random() < share:
+            return replace(m, p_n=vec3(m.p_n + rng.normal(0.0, 20.0, 3)))
+        return m
 
     run = fly(flight, messages=[at_random(m) for m in flight.messages])
     late = [*within(run.estimates, 12.0, 30.0), *within(run.estimates, 42.0, 60.0)]

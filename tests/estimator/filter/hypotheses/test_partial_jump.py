@@ -26,7 +26,8 @@ def test_a_direction_that_mixes_place_and_turn_widens_the_turn_by_the_angle_that
     fix = replace(whole, directions=directions, readings=np.array([OFF_M]))
     aid = landmark_aid(fix, PoseConfig())
     assert isinstance(aid, Aid)
-    z = aid.measurement(lead.filter.x)
+    z = aid.measurement(None)
+    assert z is not None
     before = follower.begin(lead, aid, z, np.zeros(3), 0.0, vouched=False)
     assert before is not None
     angle = OFF_M / (0.8 * RADIAN_M)
