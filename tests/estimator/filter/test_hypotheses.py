@@ -377,9 +377,9 @@ def test_a_follower_takes_the_place_of_the_last_of_too_many_that_reject_the_fix(
     (3, 1.0, 0.5, False, 4.45),
     (8, 3.5, 0.5, False, 4.95),  # eight, and three more
     (100, 60.0, 0.5, False, 4.95),  # ten more: enough against any run
-    (100, 60.0, 0.5, True, 2.95),
+    (100, 60.0, 0.5, True, 3.7),
     (3, 4.0, 2.0, False, 9.8),  # rare fixes: three, and three more
-    (100, 60.0, 2.0, True, 2.94),
+    (100, 60.0, 2.0, True, 3.69),
     (100, 60.0, 0.05, False, 4.995),
 ])  # fmt: skip
 def test_a_run_of_fixes_is_decided_by_a_longer_one(
