@@ -147,7 +147,7 @@ class Eskf:
             self.cov[:_T, :_T] *= factor**2 / turned
 
     def limit_attitude(self) -> None:
-        """P <- D P D where an attitude is known worse than _WIDEST: it is unknown, and no further off than that."""
+        """P_theta <- D P_theta D, sigma at most _WIDEST: the attitude is unknown, and its error is bounded by half a turn."""
         sigma = math.sqrt(self.variance_factor * max(self.cov.diagonal()[E.THETA].tolist()))
         if sigma > _WIDEST:
             self.cov[E.THETA, :] *= _WIDEST / sigma

@@ -33,7 +33,7 @@ LEVEL_NS: Final = 1_000_000_000  # of specific force, used to level
 _STILL_ACCEL, _STILL_RATE = 0.3, 0.15  # m/s^2 (deviation), rad/s (mean) below which the vehicle may be at rest
 MOVING_TILT: Final = math.radians(12.0)  # sigma of roll and pitch levelled in motion
 _TURNED, _SIGMAS = math.radians(30.0), 3.0  # a larger error of a fix' attitude is no noise, nor one of its mounting
-_UNKNOWN_SLOW = 9.0  # c
+_UNKNOWN_SLOW = 9.0  # c: nine tenths of P_ss are left in the end
 _BROAD = 1e6  # on the covariance of a pose: it says next to nothing
 _HOPELESS = 12.0  # ln: a heading so far behind is dropped
 
