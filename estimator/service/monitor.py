@@ -266,6 +266,8 @@ def _links(d: Mapping[str, str]) -> Iterator[tuple[str, str, bool]]:
     for link in ("mavlink", "px4"):
         if origin := d.get(f"{link} ekf_origin"):
             yield "its origin", origin, "quality -1" not in origin
+        if receiver := d.get(f"{link} receiver"):
+            yield "its receiver", receiver, True
 
 
 def _sent(d: Mapping[str, str], link: str) -> str:

@@ -38,6 +38,7 @@ _FIELDS = {
     "IMU": ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"),
     "GPS": ("Status", "HDop", "Lat", "Lng", "Alt", "Spd", "GCrs", "VZ", "Week", "TimeMS", "GWk", "GMS", "Yaw"),
     "GPA": ("HAcc", "VAcc", "SAcc"),
+    "UBX1": ("Instance", "noisePerMS", "agcCnt", "jamInd"),
     "BARO": ("Press",),
     "ARSP": ("Airspeed",),
     "RFND": ("Dist", "Stat", "Orient"),
@@ -94,6 +95,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     delay_s = 0.0
     if gnss:
         notes.append("GNSS heights are above sea level; set [map] geoid_m to have them above the ellipsoid")
+        notes += _reception(tables.get("UBX1"))
         delay_s = _delay_s(parameters, gnss[0])
         if truth and not origin:
             origin = sensors.origin_of_truth(gnss[0], truth, delay_s, _known_origin(tables))
@@ -224,6 +226,13 @@ def _variances(gps: Mapping[str, Array], gpa: Mapping[str, Array] | None) -> tup
         position[mine] = accuracy[:, [0, 0, 1]]
         velocity[mine] = accuracy[:, [2, 2, 2]]
     return position, velocity
+
+
+def _reception(table: Mapping[str, Array] | None) -> list[str]:
+    if table is None:
+        return []
+    columns = _vector(table, *_FIELDS["UBX1"])
+    return [n for k in (0, 1) for n in sensors.reception(f"/gnss{k + 1 if k else ''}", *columns[columns[:, 0] == k, 1:].T)]
 
 
 def _receiver_time_us(table: Mapping[str, Array]) -> Array:

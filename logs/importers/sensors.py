@@ -4,6 +4,7 @@ import numpy as np
 
 from logs.importers.recording import Stream, Times
 from logs.store.reader import LogError
+from logs.wire import receiver
 from models.frames import GRAVITY, Origin
 from models.messages import Array, Vec3
 
@@ -54,6 +55,14 @@ def check_place(lla: Array, where: str) -> None:
     if usual > 360.0:
         unit = "1e-7 deg" if usual > 1e5 else "degrees and minutes"
         raise LogError(f"{where}: latitude or longitude {usual:.0f} is not degrees ({unit}?)")
+
+
+def reception(topic: str, noise: Array, gain: Array, indicator: Array) -> list[str]:
+    """A note on the medians and the largest values of a receiver's MON-HW."""
+    if not len(noise):
+        return []
+    usual, most = (receiver.reception(float(f(noise)), float(f(gain)), float(f(indicator))) for f in (np.median, np.max))
+    return [f"{topic}: {usual}; at most: {most}"] if most else []
 
 
 def navsat_status(fix_type: Array) -> Array:

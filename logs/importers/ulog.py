@@ -267,6 +267,8 @@ def _gnss(source: Path, topic: Topic, clock_us: int, notes: list[str]) -> list[S
     flags = receiver_state(topic.get("jamming_state", unknown), topic.get("spoofing_state", unknown))
     if flags.any():
         notes.append(f"the receiver reports jamming or spoofing in {np.count_nonzero(flags)} of {len(flags)} fixes")
+    signal = (topic.get(f, unknown) for f in ("noise_per_ms", "automatic_gain_control", "jamming_indicator"))
+    notes += sensors.reception("/gnss", *signal)
     streams = [recording.gnss(t_ns, arrived_ns, lla, variance, status, flags=flags)]
     if len(moving):
         streams.append(recording.gnss_velocity(t_ns[moving], arrived_ns[moving], v_n, speed_variance))

@@ -1,7 +1,7 @@
-"""A receiver's flags of interference, also those that u-blox's ROS drivers publish in the namespace of NavSatFix.
+"""A receiver's flags of interference, also those that ROS drivers publish in the namespace of NavSatFix.
 
 MON-HW and NAV-STATUS of ublox_msgs have UBX's own layout (u-blox M8 and F9 interface descriptions); SEC-SIG of ublox_ubx_msgs
-begins with a Header.
+and Septentrio's AIM+ (spoofing found by OSNMA, or by its own test) begin with a Header.
 """
 
 import struct
@@ -13,6 +13,8 @@ import numpy as np
 from models.messages import Array, ReceiverState
 
 _HEAD: Final = 4  # bytes of encapsulation
+_GAIN: Final = 8191  # largest count of u-blox's automatic gain control
+_AUTHENTICATION: Final = {1: "authentication begins", 2: "authentication cannot begin", 3: "authenticated"}
 _SUSPECTED, _DETECTED = 2, 3  # of jamming and spoofing
 _STATE_BITS: Final = 12  # of NavSatStatus.service, where ReceiverState begins
 _FRESH_NS: Final = 5_000_000_000  # a driver that sends no flags any more reports nothing
@@ -20,6 +22,7 @@ FLAGS: Final = {  # name in the driver's namespace -> its type
     "monhw": "ublox_msgs/msg/MonHW",
     "navstatus": "ublox_msgs/msg/NavSTATUS",
     "ubx_sec_sig": "ublox_ubx_msgs/msg/UBXSecSig",
+    "aimplusstatus": "septentrio_gnss_driver/msg/AIMPlusStatus",
 }
 
 
@@ -36,6 +39,19 @@ def reported(jamming: int, spoofing: int) -> ReceiverState:
     return ReceiverState(int(receiver_state(np.array(jamming), np.array(spoofing))))
 
 
+def reception(noise: float, gain: float, indicator: float, authentication: int = 0) -> str:
+    """Of u-blox's MON-HW (gain of 8191, jamming indicator of 255) and GPS_AUTHENTICATION_STATE, which judges no position; 0 is
+    not given.
+    """
+    given = (
+        (indicator, f"jamming indicator {indicator:.0f} of 255"),
+        (gain, f"gain {100.0 * gain / _GAIN:.0f} %"),
+        (noise, f"noise {noise:.0f}"),
+        (authentication, _AUTHENTICATION.get(authentication, "")),
+    )
+    return ", ".join(words for value, words in given if value > 0 and words)
+
+
 def state_of(schema: str, data: bytes) -> ReceiverState:
     """What a message of CDR bytes reports; too short: nothing."""
     try:
@@ -43,8 +59,11 @@ def state_of(schema: str, data: bytes) -> ReceiverState:
             return reported(data[_HEAD + 22] >> 2 & 3, 0)
         if schema == FLAGS["navstatus"]:
             return reported(0, data[_HEAD + 7] >> 3 & 3)
-        at = _after_header(data)  # version, detection enabled, state, detection enabled, state
-        return reported(data[at + 2], data[at + 4])
+        at = _after_header(data)
+        if schema == FLAGS["aimplusstatus"]:  # uint32, uint16; interference: 0 none, 1 mitigated, 2 present; spoofing: 1, 2, 3
+            at += -at % 4 + 6
+            return reported(data[at] + 1, _DETECTED if data[at + 1] in {1, 2, 3} else 0)
+        return reported(data[at + 2], data[at + 4])  # version, detection enabled, state, detection enabled, state
     except (IndexError, struct.error):
         return ReceiverState.UNKNOWN
 

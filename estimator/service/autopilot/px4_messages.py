@@ -9,7 +9,7 @@ import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from logs.importers.sensors import navsat_status
-from logs.wire.receiver import reported
+from logs.wire.receiver import reception, reported
 from models import so3
 from models.messages import Array, Estimate, GnssFix, GnssVelocity, Vec3, vec3
 from models.state import E, X
@@ -148,7 +148,7 @@ _ODOMETRY: Final = struct.Struct("<4sQQB3x3f4fB3x3f3f3f3f3fBb")
 _AUX: Final = struct.Struct("<4sQQBB6xddfffB")
 _GLOBAL: Final = struct.Struct("<4sQQddff??2xffBBBxfff??")
 _REFERENCE: Final = struct.Struct("<4x124x??2x8xddf")  # of VehicleLocalPosition, from xy_global to ref_alt
-_GPS: Final = struct.Struct("<4xQQ8x4df4xB3xff14xB5xB7x3f4x?")  # of SensorGps, to vel_ned_valid
+_GPS: Final = struct.Struct("<4xQQ8x4df4xB3xff8xiHBxiBB6x3f4x?")  # of SensorGps, to vel_ned_valid
 _NED, _VISION = 1, 2
 _NOT_GIVEN: Final = None, None, None
 _BYTE: Final = 256
@@ -170,24 +170,23 @@ def local_reference(data: bytes) -> Vec3 | None:
     return (lat, lon, alt) if xy_global and z_global else None
 
 
-def receiver(data: bytes, geoid_m: float, topic: str) -> tuple[GnssFix, GnssVelocity | None] | None:
-    """Of a SensorGps (1.15 to 1.18), stamps PX4's; None: too short.
+def receiver(data: bytes, geoid_m: float, topic: str) -> tuple[GnssFix, GnssVelocity | None, str] | None:
+    """Of a SensorGps (1.15 to 1.18), stamps PX4's, and its reception in words; None: too short.
 
     Sigma 0: not given.
     """
     if len(data) < _GPS.size:
         return None
-    now_us, sampled_us, lat, lon, sea_m, height_m, v_sigma, fix_type, eph, epv, jamming, spoofing, *v_n, valid = _GPS.unpack_from(
-        data
-    )
+    now_us, sampled_us, lat, lon, sea_m, height_m, v_sigma, fix_type, eph, epv, *signal, n, e, d, valid = _GPS.unpack_from(data)
+    noise, gain, jamming, indicator, spoofing, authentication = signal
     t_ns, given = 1_000 * (sampled_us or now_us), height_m not in {0.0, sea_m}
     status, state = navsat_status(np.array(fix_type)), reported(jamming, spoofing)
     covariance = np.diag([eph**2, eph**2, epv**2]) if eph > 0.0 and epv > 0.0 else None
     v_covariance = np.eye(3) * v_sigma**2 if v_sigma > 0.0 else None
     height = height_m if given else sea_m + geoid_m
     fix = GnssFix(t_ns, t_ns, lat, lon, height, covariance, int(status), topic, state)
-    velocity = GnssVelocity(t_ns, t_ns, vec3(v_n), v_covariance, f"{topic}/velocity")
-    return fix, velocity if valid and fix.is_on_earth else None
+    velocity = GnssVelocity(t_ns, t_ns, (n, e, d), v_covariance, f"{topic}/velocity")
+    return fix, velocity if valid and fix.is_on_earth else None, reception(noise, gain, indicator, authentication)
 
 
 def vehicle_odometry(

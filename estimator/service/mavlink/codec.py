@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from estimator.service.autopilot.px4_messages import position_sigmas
 from logs.importers.sensors import highres_field, indicated_airspeed, navsat_status, variance_from_dop
-from logs.wire.receiver import reported
+from logs.wire.receiver import reception, reported
 from models import so3
 from models.frames import GRAVITY
 from models.messages import (
@@ -123,6 +123,11 @@ def attitude(message: Any, t_ns: int, sigma_deg: tuple[float, float], topic: str
 def receiver_state(message: Any) -> ReceiverState:
     """Of GNSS_INTEGRITY."""
     return reported(message.jamming_state, message.spoofing_state)
+
+
+def authentication(message: Any) -> str:
+    """Of GNSS_INTEGRITY, in words."""
+    return reception(0, 0, 0, message.authentication_state)
 
 
 def gnss_fix(message: Any, t_ns: int, geoid_m: float, topic: str, state: ReceiverState = ReceiverState.UNKNOWN) -> GnssFix:

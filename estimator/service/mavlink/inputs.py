@@ -84,6 +84,7 @@ class Inputs:
         self.wanted |= self._other_imus.keys() | self._positions.keys() | self._velocities.keys()
         self.wanted |= {GNSS_INTEGRITY} if self._positions else set()
         self._states: dict[int, tuple[ReceiverState, int]] = {}  # message id of the receiver's fixes -> its flags, and when
+        self._authentication: dict[int, str] = {}  # id of the receiver -> in words
         self._heard: dict[int, int] = {}  # message id -> when
         self._asked: dict[int, int] = {}
         self._began_ns: int | None = None  # when an IMU was first asked for
@@ -148,6 +149,7 @@ class Inputs:
         """Note GNSS_INTEGRITY (no stamp); its id counts receivers from 0."""
         if message.id < len(_RECEIVERS):
             self._states[_RECEIVERS[message.id]] = codec.receiver_state(message), now_ns
+            self._authentication[message.id] = codec.authentication(message)
 
     def _state(self, number: int, now_ns: int) -> ReceiverState:
         state, heard_ns = self._states.get(number, (ReceiverState.UNKNOWN, _NEVER))
@@ -174,7 +176,8 @@ class Inputs:
         """For the status."""
         coarse = " (coarse: steps of 0.01 m/s^2, 0.001 rad/s)" if self.imu_kind in codec.COARSE else ""
         heading = {"attitude": "not taken: the autopilot's magnetometer reads zero or nothing"} if self._is_blind else {}
-        return {"imu": self.imu_kind + coarse} | heading
+        receiver = ", ".join(f"{k + 1}: {words}" for k, words in sorted(self._authentication.items()) if words)
+        return {"imu": self.imu_kind + coarse, "receiver": receiver} | heading
 
     def _missing(self, now_ns: int, autopilot: int | None) -> dict[int, int]:
         wanted = {mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: round(_MICRO / _SYSTEM_TIME_HZ)}

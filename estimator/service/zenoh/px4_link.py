@@ -53,7 +53,7 @@ class Px4Link:
         self._has_none = True  # as far as it has said since its boot; silence later on is no such word
         self._map_origin: Vec3 | None = None
         self._quality: int | None = None  # of the last odometry
-        self._fix_waits = False
+        self._fix_waits, self._reception = False, ""
         self.sent_odometry = self.sent_fixes = self.unsent = self.out_of_range = self.implausible_references = 0
         fix_type = px4.AUX_GLOBAL_POSITION if config.release == "1.18" else px4.VEHICLE_GLOBAL_POSITION
         drop: Any = {"congestion_control": zenoh.CongestionControl.DROP, "express": True}
@@ -113,6 +113,7 @@ class Px4Link:
             "fixes": self.sent_fixes,
             "unsent": self.unsent,
             "out_of_range": self.out_of_range,
+            "receiver": self._reception,
         }
 
     @property
@@ -176,7 +177,10 @@ class Px4Link:
     def _hear_receiver(self, payload: bytes) -> None:
         assert self._feed is not None
         inbox, *takes = self._feed
-        for measured, is_taken in zip(px4.receiver(payload, self._geoid_m, GNSS_TOPIC) or (), takes, strict=False):
+        if (read := px4.receiver(payload, self._geoid_m, GNSS_TOPIC)) is None:
+            return
+        *both, self._reception = read
+        for measured, is_taken in zip(both, takes, strict=True):
             if is_taken and measured and (t_ns := self._boot.offset.ours(measured.t_ns)) is not None:
                 inbox.put(replace(measured, t_ns=t_ns, arrived_ns=t_ns))
 

@@ -144,6 +144,7 @@ def test_links_and_defects_are_shown_where_there_are_any() -> None:
         "mavlink": {
             "state": "open", "autopilot": "px4", "heard_s": "0.2", "odometry": 30, "quality": 87, "fixes": 4,
             "ekf_origin": "3 m north, 0 m east, 1 m above the map's", "attitude": "not taken: its compass is dead",
+            "receiver": "1: authenticated",
         },
         "px4": {
             "clock_ahead_s": "unknown", "odometry": 0, "quality": "none sent", "fixes": 0,
@@ -159,7 +160,12 @@ def test_links_and_defects_are_shown_where_there_are_any() -> None:
     assert "does not answer   7 fixes of 9 pairs, 43.5 ms, 2 restarts" in text
     assert "open   px4 heard 0.2 s ago, sent 30 odometry (quality 87), 4 fixes" in text
     assert "nothing of fmu/out comes, sent 0 odometry (quality none sent), 0 fixes" in text
-    for said in ("3 m north, 0 m east", "not taken: its compass is dead", "not known: ODOMETRY has quality -1"):
+    for said in (
+        "3 m north, 0 m east",
+        "not taken: its compass is dead",
+        "not known: ODOMETRY has quality -1",
+        "1: authenticated",
+    ):
         assert said in text
     assert "1, the last: KeyError: 7" in text
 

@@ -149,6 +149,7 @@ FORMATS = {  # name: type, format, columns
     "SIM": (150, "QccCfLLffff", "TimeUS,Roll,Pitch,Yaw,Alt,Lat,Lng,Q1,Q2,Q3,Q4"),
     "MAG": (152, "QBhhh", "TimeUS,I,MagX,MagY,MagZ"),
     "SIM2": (151, "Qfff", "TimeUS,VN,VE,VD"),
+    "UBX1": (153, "QBHBBHI", "TimeUS,Instance,noisePerMS,jamInd,aPower,agcCnt,config"),
 }
 STRUCT = {
     "Q": "Q",
@@ -221,6 +222,15 @@ def test_instances_are_distinguished(newer: Path) -> None:
     np.testing.assert_allclose((first.stream("/imu2") or b).columns[0], b.columns[0])
     assert second.stream("/imu2") is None
     assert len(first.stream("/truth") or ()) == 4  # of the first core only
+
+
+def test_what_u_blox_says_of_its_reception_is_noted(newer: Path) -> None:
+    rows = [(0, 90, 7, 1, 819, 0), (0, 101, 39, 1, 1638, 0), (1, 0, 200, 1, 0, 0)]
+    newer.write_bytes(newer.read_bytes() + b"".join(row("UBX1", 1_200_000 + k, *r) for k, r in enumerate(rows)))
+    notes = dataflash.read(newer).notes
+    usual, most = "jamming indicator 23 of 255, gain 15 %, noise 96", "jamming indicator 39 of 255, gain 20 %, noise 101"
+    assert f"/gnss: {usual}; at most: {most}" in notes
+    assert "/gnss2: jamming indicator 200 of 255; at most: jamming indicator 200 of 255" in notes
 
 
 @pytest.mark.parametrize("names", ["R,P,Y", "Roll,Pitch,Yaw"])

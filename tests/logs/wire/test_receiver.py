@@ -1,4 +1,4 @@
-"""u-blox's flags: bytes of the drivers' own definitions."""
+"""The flags of u-blox and Septentrio: bytes of the drivers' own definitions."""
 
 from typing import Any
 
@@ -11,6 +11,7 @@ from logs.wire.receiver import ReceiverFlags, state_of
 from models.messages import GnssFix, ReceiverState
 
 MON_HW, NAV_STATUS, SEC_SIG = "ublox_msgs/msg/MonHW", "ublox_msgs/msg/NavSTATUS", "ublox_ubx_msgs/msg/UBXSecSig"
+AIM = "septentrio_gnss_driver/msg/AIMPlusStatus"
 DEFINITIONS = {
     MON_HW: """uint32 pin_sel
 uint32 pin_bank
@@ -38,12 +39,23 @@ uint8 jamming_state
 uint8 spf_det_enabled
 uint8 spoofing_state
 """,
+    AIM: """std_msgs/Header header
+uint32 tow
+uint16 wnc
+uint8 interference
+uint8 spoofing
+bool osnma_info_available
+uint8 galileo_authentic
+uint8 galileo_spoofed
+uint8 gps_authentic
+uint8 gps_spoofed
+""",
 }
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 for name, text in DEFINITIONS.items():
     STORE.register(get_types_from_msg(text, name))
 MAKE: Any = STORE.types
-HEADER = MAKE["std_msgs/msg/Header"](stamp=MAKE["builtin_interfaces/msg/Time"](sec=1, nanosec=2), frame_id="gps")
+HEADER = MAKE["std_msgs/msg/Header"](stamp=MAKE["builtin_interfaces/msg/Time"](sec=1, nanosec=2), frame_id="gnss")
 SECOND = 1_000_000_000
 
 
@@ -53,7 +65,9 @@ def _bytes(schema: str, **fields: Any) -> bytes:
     arrays = {"vp": np.full(17, 255, np.uint8), "reserved1": np.full(2, 255, np.uint8)}
     status = {"iTOW": 2**32 - 1, "gpsFix": 3, "flags": 15, "fixStat": 255, "ttff": 1, "msss": 1}
     signal = {"header": HEADER, "version": 1, "jam_det_enabled": 1, "spf_det_enabled": 1}
-    known: dict[str, dict[str, Any]] = {MON_HW: {**pins, **noise, **arrays}, NAV_STATUS: status, SEC_SIG: signal}
+    counts = dict.fromkeys(("galileo_authentic", "galileo_spoofed", "gps_authentic", "gps_spoofed"), 9)
+    aim = {"header": HEADER, "tow": 2**32 - 1, "wnc": 2**16 - 1, "osnma_info_available": True, **counts}
+    known: dict[str, dict[str, Any]] = {MON_HW: {**pins, **noise, **arrays}, NAV_STATUS: status, SEC_SIG: signal, AIM: aim}
     return bytes(STORE.serialize_cdr(MAKE[schema](**(known[schema] | fields)), schema))
 
 
@@ -69,6 +83,10 @@ def _bytes(schema: str, **fields: Any) -> bytes:
         (SEC_SIG, {"jamming_state": 1, "spoofing_state": 1}, ReceiverState.UNKNOWN),
         (SEC_SIG, {"jamming_state": 3, "spoofing_state": 1}, ReceiverState.JAMMED),
         (SEC_SIG, {"jamming_state": 0, "spoofing_state": 3}, ReceiverState.SPOOFED),
+        (AIM, {"interference": 1, "spoofing": 0}, ReceiverState.UNKNOWN),  # mitigated
+        (AIM, {"interference": 2, "spoofing": 4}, ReceiverState.JAMMED),
+        (AIM, {"interference": 0, "spoofing": 1}, ReceiverState.SPOOFED),  # by OSNMA
+        (AIM, {"interference": 2, "spoofing": 3}, ReceiverState.SPOOFED),
     ],
 )
 def test_flags_are_read_from_the_drivers_bytes(schema: str, fields: dict[str, Any], state: ReceiverState) -> None:

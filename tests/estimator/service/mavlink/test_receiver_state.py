@@ -15,8 +15,10 @@ SECOND = 1_000_000_000
 UNKNOWN, JAMMED, SPOOFED = ReceiverState
 
 
-def _integrity(jamming: int, spoofing: int, receiver: int = 0) -> Any:
-    return development.MAVLink_gnss_integrity_message(receiver, 0, 0, jamming, spoofing, 0, 65535, 65535, 255, 255, 255, 255)
+def _integrity(jamming: int, spoofing: int, receiver: int = 0, authentication: int = 0) -> Any:
+    return development.MAVLink_gnss_integrity_message(
+        receiver, 0, authentication, jamming, spoofing, 0, 65535, 65535, 255, 255, 255, 255
+    )
 
 
 def _fix() -> Any:
@@ -46,6 +48,14 @@ def test_flags_reach_the_very_next_fix(jamming: int, spoofing: int, state: Recei
     assert _measured(inputs, SECOND) is UNKNOWN
     inputs.note_integrity(_received(inputs, _integrity(jamming, spoofing)), SECOND)
     assert _measured(inputs, SECOND) is state
+
+
+def test_authentication_is_shown_and_judges_no_fix() -> None:
+    inputs = Inputs(MavlinkConfig(), Topics(), 0.0)
+    for receiver, authentication in enumerate((2, 3)):
+        inputs.note_integrity(_received(inputs, _integrity(1, 1, receiver, authentication)), SECOND)
+    assert _measured(inputs, SECOND) is UNKNOWN
+    assert inputs.report()["receiver"] == "1: authentication cannot begin, 2: authenticated"
 
 
 def test_flags_that_no_longer_come_and_those_of_another_receiver_change_nothing() -> None:

@@ -92,8 +92,9 @@ def _bytes(release: str, **changes: float) -> bytes:
 def test_the_fields_of_each_release_are_read_as_they_were_meant(release: str) -> None:
     read = px4.receiver(_bytes(release, noise_per_ms=77, automatic_gain_control=9, jamming_indicator=5), 40.0, "/x")
     assert read is not None
-    fix, velocity = read
+    fix, velocity, signal = read
     assert velocity is not None
+    assert signal == "jamming indicator 5 of 255, gain 0 %, noise 77"
     assert (fix.t_ns, fix.lat_deg, fix.lon_deg, fix.alt_m, fix.status) == (89_900_000_000, 47.1, 8.2, 497.5, 0)
     assert fix.state is ReceiverState.UNKNOWN
     assert velocity.v_n == (1.0, 2.0, -3.0)
@@ -117,7 +118,15 @@ def test_what_is_not_given_is_not_made_up() -> None:
     read = px4.receiver(_bytes("1.17", eph=0.0, vel_ned_valid=False, altitude_ellipsoid_m=0.0), 47.5, "/x")
     assert read is not None
     assert (read[0].covariance_n, read[0].alt_m, read[1]) == (None, 497.5, None)
+    assert read[2] == ""
     assert px4.receiver(_bytes("1.17")[:100], 0.0, "/x") is None
+
+
+@pytest.mark.parametrize("release", ["1.17", "1.18"])
+def test_authentication_is_shown(release: str) -> None:
+    read = px4.receiver(_bytes(release, authentication_state=3, automatic_gain_control=8191), 0.0, "/x")
+    assert read is not None
+    assert (read[0].state, read[2]) == (ReceiverState.UNKNOWN, "gain 100 %, authenticated")
 
 
 def test_its_fixes_come_over_zenoh_in_our_time(tmp_path: Path) -> None:
@@ -132,10 +141,11 @@ def test_its_fixes_come_over_zenoh_in_our_time(tmp_path: Path) -> None:
         key = f"0{GNSS_TOPIC}/px4_msgs::msg::dds_::SensorGps_/RIHS01_{'0' * 64}"
 
         def arrives() -> bool:
-            theirs.put(key, _bytes("1.18", spoofing_state=3), attachment=attachment(1, BOOT_US, bytes(16)))
+            theirs.put(key, _bytes("1.18", spoofing_state=3, jamming_indicator=7), attachment=attachment(1, BOOT_US, bytes(16)))
             return len(mailbox) > 1
 
         until(arrives, "a fix arrives", 20.0)
+        assert link.report()["receiver"] == "jamming indicator 7 of 255"
         now_ns, decoder = clock.now_ns(), Decoder(topics)
         arrivals = [a for _ in range(2) if (a := mailbox.get(1.0)) is not None]
         measured = [decoder.decode(a.topic, a.schema, a.data, a.arrived_ns) for a in arrivals]
