@@ -51,8 +51,8 @@ stress: install  ## accuracy and consistency where the world differs from the co
 campaign: install  ## consistency over many simulated flights (minutes)
 	$(BIN)/python -m benchmarks.campaign
 
-campaign-integrity: install  ## protection levels against true errors, goes on where it ended (JOBS=2, LOOKS=0, PAIRS=0, SEEDS=3, SCHEDULER=tcp://...)
-	$(BIN)/python -m benchmarks.integrity --jobs $(or $(JOBS),1) --looks $(or $(LOOKS),0) --rendered $(or $(PAIRS),0) --seeds $(or $(SEEDS),3) --scheduler "$(SCHEDULER)"
+campaign-integrity: install  ## protection levels against true errors, goes on where it ended (JOBS=2, SEEDS=3, SCHEDULER=tcp://...)
+	$(BIN)/python -m benchmarks.integrity --jobs $(or $(JOBS),1) --seeds $(or $(SEEDS),3) --scheduler "$(SCHEDULER)"
 
 soak: install  ## the daemon under load for an hour: latency, memory, drops, and its log replayed (MINUTES=60)
 	$(BIN)/python -m benchmarks.service --minutes $(or $(MINUTES),60)

@@ -1,4 +1,4 @@
-"""Outlines on real aerial images: `python -m benchmarks.aerial [brighton] [nust] [roads] [spacenet]`.
+"""Outlines on real aerial images: `python -m benchmarks.aerial [brighton] [nust] [roads]`.
 
 One camera, a trial is one image with its own pipeline; where that waits for another image, Brighton has one; *at once*: the first
 image alone. Thresholds are the defaults (docs/vision_aerial.md). Output: out/aerial/.
@@ -17,13 +17,13 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from benchmarks.aerial import brighton, nust, spacenet
+from benchmarks.aerial import brighton, nust
 from benchmarks.aerial.trials import Outcome, Row, Trial, row, run
 from benchmarks.flights.tasks import data_folder
 from benchmarks.tables import Table, number
 
 OUT = Path(__file__).resolve().parents[2] / "out" / "aerial"
-SETS = ("brighton", "nust", "roads", "spacenet")
+SETS = ("brighton", "nust", "roads")
 
 
 def main() -> None:
@@ -70,9 +70,7 @@ def trials(name: str, data: Path, args: argparse.Namespace) -> Iterator[Trial]:
         return brighton.trials(data, args.seed, args.priors, args.width, spread)
     if name == "nust":
         return nust.trials(data, args.seed, args.priors)
-    if name == "roads":
-        return nust.road_trials(data, args.seed, args.priors)
-    return spacenet.trials(data, args.seed, args.priors)
+    return nust.road_trials(data, args.seed, args.priors)
 
 
 def run_all(several: Iterable[Trial]) -> Iterator[Outcome]:

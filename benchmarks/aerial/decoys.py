@@ -142,7 +142,7 @@ def scenes(images: str) -> tuple[Scene, ...]:
 def decoy(scene: Scene, known: str, key: tuple[int, str, int], spread: Spread) -> Flight:
     """The images over a map where no fix is right."""
     if known == "away":
-        return Flight(known, scene.rig, scene.known, shots(scene, spread, key, _AWAY_M), decoy=True)
+        return Flight(known, scene.rig, scene.known, shots(scene, spread, key, _AWAY_M))
     turns = {"quarter": cv2.ROTATE_90_CLOCKWISE, "three quarters": cv2.ROTATE_90_COUNTERCLOCKWISE}
     if known in turns:
         other = turned(scene.known, turns[known])
@@ -150,7 +150,7 @@ def decoy(scene: Scene, known: str, key: tuple[int, str, int], spread: Spread) -
         other = MapImage.of(replace(scene.known.image, image=np.ascontiguousarray(scene.known.image.image[:, ::-1])))
     else:
         other = _moved_to(scene, _place(known), key)
-    return Flight(known, scene.rig, other, shots(scene, spread, key), decoy=True)
+    return Flight(known, scene.rig, other, shots(scene, spread, key))
 
 
 def _place(known: str) -> GroundImage:

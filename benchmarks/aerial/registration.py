@@ -1,8 +1,8 @@
 """Position from maps that hold an image: `python -m benchmarks.aerial.registration [nust] [brighton] [rendered] [oblique]`.
 
-Registration, features (also with ten inliers), the search's peak with and without checks, and all as in flight, on the same
-images. Judged: the ground in the image's middle, by fix and prior; a fix of one direction along that alone. Of n decoys without a
-fix the false share is below 3 / n (95 %). Output: out/registration/.
+All as in flight, with learned matching and without, and one by one: SIFT + FLANN, the search's peak without its checks, learned
+matching. Judged: the ground in the image's middle, by fix and prior; a fix of one direction along that alone. Wrong maps:
+benchmarks.aerial.decoys. Output: out/registration/.
 """
 
 import argparse
@@ -26,7 +26,7 @@ from benchmarks.tables import Table, number
 from models.camera import StereoRig
 from models.maps.landmarks import LandmarkMap
 from models.messages import Array
-from vision.ground.features import FeatureConfig, FeatureMap, Recognised, recognise
+from vision.ground.features import FeatureConfig, Recognised, recognise
 from vision.ground.image import GroundImage
 from vision.ground.learned import Learned, recognise_learned
 from vision.ground.peak import PeakConfig, fit_peak
@@ -37,11 +37,8 @@ from vision.records.reports import pose_flaw
 
 OUT = Path(__file__).resolve().parents[2] / "out" / "registration"
 SETS = ("nust", "brighton", "rendered", "oblique")
-Way = Literal[
-    "as in flight", "with learned", "learned", "registration", "features", "peak", "features, 10 inliers", "Sobel + correlation"
-]
+Way = Literal["as in flight", "with learned", "learned", "features", "Sobel + correlation"]
 WAYS: tuple[Way, ...] = get_args(Way)
-_LOOSE = FeatureConfig(least=10, least_share=0.0, least_spread=0.0)
 _ANY_PEAK = PeakConfig(ratio=1.0, correlation=0.0, deviations=0.0)
 _WITHIN_95 = 3.841, 5.991  # chi-square of 1 and 2
 _WRONG_M = 2.0
@@ -56,7 +53,6 @@ class Outcome(msgspec.Struct, frozen=True):
 
     group: str
     way: Way
-    decoy: bool
     outcome: str
     detail: str
     prior_m: float
@@ -84,7 +80,7 @@ def main() -> None:
     every = [f for name in sets for f in flights(name, data, args.seed, OUT / "maps") if args.only in f.group]
     ways = [way for way in WAYS if way in (args.by or WAYS)]
     outcomes = [outcome for flight in track(every, console=Console(stderr=True)) for outcome in fly(flight, ways)]
-    report = f"{table(outcomes).markdown()}\n{decoys(outcomes).markdown()}"
+    report = table(outcomes).markdown()
     name = "_".join((*sets, *args.only.split()))
     (OUT / f"outcomes_{name}_{args.seed}.json").write_bytes(msgspec.json.encode(outcomes))
     (OUT / f"report_{name}.md").write_text(report)
@@ -104,51 +100,42 @@ def arguments() -> argparse.Namespace:
 
 def fly(flight: Flight, ways: Sequence[Way] = WAYS) -> Iterator[Outcome]:
     """Every image of a flight, in order, as registration may wait for the next one."""
-    nothing = FeatureMap(flight.known.image, np.empty((0, 3)), np.empty((0, 128), np.float32))
     models = learned_models(data_folder()) if {"with learned", "learned"} & set(ways) else None
     for way in ways:
         if models is None and way in {"with learned", "learned"}:
             continue
-        known = replace(flight.known, features=nothing) if way == "registration" else flight.known
-        if way == "with learned":
-            known = replace(known, learned=models)
+        known = replace(flight.known, learned=models) if way == "with learned" else flight.known
         recognisers = Recognisers(flight.rig, _NOWHERE, known)
         for shot in flight.shots():
             begin = time.process_time()
-            if way in {"as in flight", "with learned", "registration"}:
+            if way in {"as in flight", "with learned"}:
                 result = recognisers.process(shot.image, None, shot.t_ns, shot.prior)
                 pose, outcome, detail = result.pose, result.report.outcome, result.report.detail
             else:
                 pose, outcome, detail = _alone(way, models, flight, shot)
             cpu_s = time.process_time() - begin
             off = float(np.linalg.norm((shot.prior.p_n - shot.p_n)[:2]))
-            what = flight.group, way, flight.decoy, outcome, detail, off, cpu_s
+            what = flight.group, way, outcome, detail, off, cpu_s
             yield Outcome(*what) if pose is None else Outcome(*what, True, *judge(flight.rig, flight.known.image, shot, pose))
 
 
 def _alone(way: Way, models: Learned | None, flight: Flight, shot: Shot) -> tuple[PoseEstimate | None, str, str]:
     """What one recogniser finds."""
-    if way in {"peak", "Sobel + correlation"}:
-        return _peak(flight, shot, PeakConfig() if way == "peak" else _ANY_PEAK)
+    rig, image, prior, known = flight.rig, shot.image, shot.prior, flight.known
+    if way == "Sobel + correlation":
+        peak = register(rig, image, prior, known.image).peak
+        fit = "no search" if peak is None else fit_peak(rig, prior, known.image, peak, _ANY_PEAK)
+        return (None, "not_found", fit) if isinstance(fit, str) else (fit, "fixed", "")
     if way == "learned":
         assert models is not None
-        found = recognise_learned(models, flight.rig, shot.image, shot.prior, flight.known.image)
+        found = recognise_learned(models, rig, image, prior, known.image)
     else:
-        config = FeatureConfig() if way == "features" else _LOOSE
-        found = recognise(flight.rig, shot.image, shot.prior, flight.known.features, config)
+        found = recognise(rig, image, prior, known.features, FeatureConfig())
     if not isinstance(found, Recognised):
         return None, found.reason, found.detail
-    if flaw := pose_flaw(found.pose, shot.prior):
+    if flaw := pose_flaw(found.pose, prior):
         return None, "no_pose", flaw
     return found.pose, "fixed", f"{found.inliers} of {found.matched}"
-
-
-def _peak(flight: Flight, shot: Shot, config: PeakConfig) -> tuple[PoseEstimate | None, str, str]:
-    peak = register(flight.rig, shot.image, shot.prior, flight.known.image).peak
-    if peak is None:
-        return None, "not_found", "no search"
-    found = fit_peak(flight.rig, shot.prior, flight.known.image, peak, config)
-    return (None, "not_found", found) if isinstance(found, str) else (found, "fixed", f"ratio {peak.ratio:.2f}")
 
 
 def judge(rig: StereoRig, map_image: GroundImage, shot: Shot, pose: PoseEstimate) -> tuple[float, float, int]:
@@ -180,14 +167,14 @@ def _moved(p_n: Array, R_nb: Array, step: Array) -> tuple[Array, Array]:
 
 
 def table(outcomes: Sequence[Outcome]) -> Table:
-    """Images that have a right answer."""
+    """A row for each set and way."""
     columns = (
         "set", "by", "images", "prior off m", "accepted", "one direction", "beyond 2 m", "median m", "worst m", "NEES",
         "within 95 %", "largest error over it", "cpu ms",
     )  # fmt: skip
     rows = []
-    for group, way in dict.fromkeys((o.group, o.way) for o in outcomes if not o.decoy):
-        every = [o for o in outcomes if (o.group, o.way, o.decoy) == (group, way, False)]
+    for group, way in dict.fromkeys((o.group, o.way) for o in outcomes):
+        every = [o for o in outcomes if (o.group, o.way) == (group, way)]
         fixes = [o for o in every if o.accepted]
         errors = np.array([o.error_m for o in fixes] or [np.nan])
         squared = float(np.mean([o.squared for o in fixes])) if fixes else math.nan
@@ -199,17 +186,6 @@ def table(outcomes: Sequence[Outcome]) -> Table:
             number(1e3 * float(np.median([o.cpu_s for o in every]))),
         ))  # fmt: skip
     return Table("Fixes", columns, rows)
-
-
-def decoys(outcomes: Sequence[Outcome]) -> Table:
-    """Images that have none."""
-    rows = []
-    for group, way in dict.fromkeys((o.group, o.way) for o in outcomes if o.decoy):
-        every = [o for o in outcomes if (o.group, o.way, o.decoy) == (group, way, True)]
-        false = sum(o.accepted for o in every)
-        bound = f"{3.0 / len(every):.1%}" if not false else "-"
-        rows.append((group, way, str(len(every)), str(false), bound, number(1e3 * float(np.median([o.cpu_s for o in every])))))
-    return Table("Decoys", ("set", "by", "images", "accepted", "share below (95 %)", "cpu ms"), rows)
 
 
 if __name__ == "__main__":

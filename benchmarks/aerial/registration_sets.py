@@ -1,7 +1,5 @@
 """Sets for registration: a video, photos, rendered ground.
 
-Decoys: the map turned by a half or a quarter, or a vehicle 100 to 200 m off.
-
 Oblique views, 45 degrees ahead, are rendered from the video's ground or satellite tiles, without relief.
 """
 
@@ -80,13 +78,12 @@ class Scene:
 
 @dataclass(frozen=True)
 class Flight:
-    """Images in their order over one map. decoy: no fix is right."""
+    """Images in their order over one map."""
 
     group: str
     rig: StereoRig
     known: MapImage
     shots: Callable[[], Iterator[Shot]]
-    decoy: bool = False
 
 
 def flights(name: str, data: Path, seed: int, out: Path) -> Iterator[Flight]:
@@ -96,10 +93,12 @@ def flights(name: str, data: Path, seed: int, out: Path) -> Iterator[Flight]:
     elif name == "brighton":
         yield from _brighton(data, seed, out)
     elif name == "oblique":
-        yield from _oblique(data, seed)
+        scene = nust_oblique(data, _OBLIQUE_VIEWS, seed)
+        yield Flight("NUST at 45 degrees, off by up to 30 m", scene.rig, scene.known, shots(scene, NEAR, (seed, "oblique", 0)))
     else:
         for number in range(3):
-            yield from _rendered(10 * seed + number)
+            for group, scene in village(10 * seed + number).items():
+                yield Flight(group, scene.rig, scene.known, shots(scene, NEAR, (10 * seed + number, group, 0)))
 
 
 def _nust(data: Path, seed: int) -> Iterator[Flight]:
@@ -107,17 +106,6 @@ def _nust(data: Path, seed: int) -> Iterator[Flight]:
     scene = nust_scene(data, 0)
     yield Flight("NUST, prior off by up to 30 m", scene.rig, scene.known, shots(scene, NEAR, (seed, "nust", 0)))
     yield Flight("NUST, prior off by up to 100 m", scene.rig, scene.known, shots(scene, WIDE, (seed, "nust", 1)))
-    for turn in (cv2.ROTATE_180, cv2.ROTATE_90_CLOCKWISE):
-        decoy = turned(scene.known, turn)
-        yield Flight("NUST decoys, map turned", scene.rig, decoy, shots(scene, NEAR, (seed, "nust", 2)), decoy=True)
-    away = shots(scene, NEAR, (seed, "nust", 3), (100.0, 200.0))
-    yield Flight("NUST decoys, 100 to 200 m away", scene.rig, scene.known, away, decoy=True)
-
-
-def _oblique(data: Path, seed: int) -> Iterator[Flight]:
-    """Real ground of one date over a map of another one."""
-    scene = nust_oblique(data, _OBLIQUE_VIEWS, seed)
-    yield Flight("NUST at 45 degrees, off by up to 30 m", scene.rig, scene.known, shots(scene, NEAR, (seed, "oblique", 0)))
 
 
 def nust_oblique(data: Path, number: int, seed: int) -> Scene:
@@ -206,8 +194,6 @@ def _brighton(data: Path, seed: int, out: Path) -> Iterator[Flight]:
     """The photos from which the orthophoto was made: light and season are the same, it shows no more than that it works."""
     scene = brighton_scene(data, out)
     yield Flight("Brighton, prior off by up to 15 m", scene.rig, scene.known, shots(scene, LOW, (seed, "brighton", 0)))
-    decoy = turned(scene.known, cv2.ROTATE_180)
-    yield Flight("Brighton decoys, map turned", scene.rig, decoy, shots(scene, LOW, (seed, "brighton", 1)), decoy=True)
 
 
 def brighton_scene(data: Path, out: Path) -> Scene:
@@ -233,13 +219,6 @@ def brighton_files(data: Path, out: Path) -> ImageFile:
     for path in (image.with_suffix(".pgw"), raster.with_suffix(".tfw")):
         path.write_text(f"{step} 0 0 {-step} {x0} {y1}")
     return ImageFile(image, 0.2, None, 0.5, raster, brighton.EPSG)
-
-
-def _rendered(seed: int) -> Iterator[Flight]:
-    for group, scene in village(seed).items():
-        yield Flight(group, scene.rig, scene.known, shots(scene, NEAR, (seed, group, 0)))
-        decoy = turned(scene.known, cv2.ROTATE_180)
-        yield Flight("rendered decoys, map turned", scene.rig, decoy, shots(scene, NEAR, (seed, group, 1)), decoy=True)
 
 
 def village(seed: int) -> dict[str, Scene]:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from benchmarks.fixes.single_fix_views import NADIR
 from models import so3
 from models.camera import CameraModel, StereoRig
 from models.maps.landmarks import Landmark, LandmarkMap
@@ -19,6 +18,7 @@ from models.radius import reach
 from vision.image.rectify import Image
 from vision.pipeline import LandmarkPipeline, PipelineConfig
 
+NADIR = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # R_bc: the image's top is the vehicle's front
 WRONG_M = 2.0
 _NEXT_NS = 2_000_000_000  # a camera in flight takes an image each second or so
 _TURNED_DEG = (30.0, 150.0)  # decoys: not by half a turn, which a row of houses survives

@@ -1,105 +1,47 @@
 """Monte-Carlo campaign over simulated flights: is the covariance consistent, and the error near its lower bound?
 
-    python -m benchmarks.campaign                            all flights, 100 seeds each
-    python -m benchmarks.campaign --quick                    every third flight, 10 seeds
-    python -m benchmarks.campaign --scenarios rotor --seeds 20
-    python -m benchmarks.campaign --list                     names of the scenarios
-
-Writes report.md and results.json.
+python -m benchmarks.campaign                            all flights, 100 seeds each; goes on where it ended
+python -m benchmarks.campaign --quick                    every third flight, 10 seeds
+python -m benchmarks.campaign --scenarios rotor --seeds 20
 """
 
 import argparse
 import os
-from collections.abc import Sequence
 from pathlib import Path
 
-import msgspec
-from rich.progress import track
+from benchmarks.campaign.flights import matched
+from benchmarks.campaign.report import flight_table, verdict
+from benchmarks.campaign.runs import Score, run
+from benchmarks.campaign.statistics import judge
+from benchmarks.flights.tasks import ROOT
+from benchmarks.jobs import run_jobs
 
-from benchmarks.campaign import flights as campaign_flights
-from benchmarks.campaign import report as campaign_report
-from benchmarks.campaign import runs as campaign_runs
-from benchmarks.campaign import statistics as campaign_statistics
-from benchmarks.campaign.statistics import Result
-from benchmarks.jobs import importable
-from estimator.tools.fleet.engine import cluster
-from estimator.tools.fleet.engine import results as results_of
-
-OUT = Path(__file__).parents[2] / "out" / "campaign"
-FLIGHTS = {flight.name: flight for flight in campaign_flights.matched() + campaign_flights.mismatched()}
+FLIGHTS = {flight.name: flight for flight in matched()}
 
 
 def main() -> None:
-    arguments = parse()
-    if arguments.list:
-        print("\n".join(FLIGHTS))
-        return
-    names = chosen(arguments.scenarios)
-    flights = [name for name in FLIGHTS if name in names][:: 3 if arguments.quick else 1]
-    seeds = range(arguments.seeds or (10 if arguments.quick else 100))
-    os.environ["OMP_NUM_THREADS"] = "1"  # inherited: one thread a process
-    done = run_all([(name, seed) for name in flights for seed in seeds], arguments.jobs)
-    results = [campaign_statistics.judge(FLIGHTS[name], [done[name, seed] for seed in seeds]) for name in flights]
-    write(arguments.out, results)
-
-
-def fly(job: tuple[str, int]) -> campaign_runs.Score:
-    name, seed = job
-    return campaign_runs.run(FLIGHTS[name], seed)
-
-
-def parse() -> argparse.Namespace:
     formatter = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(prog="python -m benchmarks.campaign", description=__doc__, formatter_class=formatter)
-    parser.add_argument("--seeds", type=positive, help="runs a scenario (default 100)")
-    parser.add_argument("--scenarios", nargs="+", metavar="NAME", help="names, or beginnings of names (default: all)")
-    parser.add_argument("--jobs", type=positive, default=2, help="processes (default 2)")
+    parser.add_argument("--seeds", type=int, help="runs a flight (100; --quick: 10)")
+    parser.add_argument("--scenarios", nargs="+", default=[""], metavar="NAME", help=f"beginnings of names: {', '.join(FLIGHTS)}")
+    parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--quick", action="store_true", help="every third flight, 10 seeds")
-    parser.add_argument("--list", action="store_true", help="print the names of the scenarios")
-    parser.add_argument("--out", type=Path, default=OUT, help="folder of the results (default out/campaign)")
-    arguments = parser.parse_args()
-    if unknown := [w for w in arguments.scenarios or [] if not any(n.startswith(w) for n in FLIGHTS)]:
-        parser.error(f"no scenario begins with {', '.join(unknown)}; --list prints them")
-    return arguments
+    parser.add_argument("--out", type=Path, default=ROOT / "out" / "campaign", help="folder of report and rows")
+    args = parser.parse_args()
+    names = [name for name in FLIGHTS if name.startswith(tuple(args.scenarios))][:: 3 if args.quick else 1]
+    seeds = range(args.seeds or (10 if args.quick else 100))
+    os.environ["OMP_NUM_THREADS"] = "1"  # inherited: one thread a process
+    work = [(name, seed) for name in names for seed in seeds]
+    scores = dict(zip(work, run_jobs(work, fly, Score, args.out / "rows.jsonl", processes=args.jobs, resume=True), strict=True))
+    results = [judge(FLIGHTS[name], [scores[name, seed] for seed in seeds]) for name in names]
+    report = f"{verdict(results).markdown()}\n{flight_table(results).markdown()}"
+    (args.out / "report.md").write_text(report, encoding="utf-8")
+    print(f"{report}\n{args.out}/report.md")
 
 
-def positive(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError("must be 1 or more")
-    return value
-
-
-def chosen(beginnings: Sequence[str] | None) -> set[str]:
-    """Names that begin with one of these; all of them by default."""
-    return {name for name in FLIGHTS if beginnings is None or name.startswith(tuple(beginnings))}
-
-
-def run_all(jobs: list[tuple[str, int]], processes: int) -> dict[tuple[str, int], campaign_runs.Score]:
-    """The score of each flight and seed; one that fails stops everything, with its name and seed."""
-    results: dict[tuple[str, int], campaign_runs.Score] = {}
-    with cluster(processes) as client:
-        for job, outcome in track(results_of(client, importable(fly), jobs), "flights", len(jobs)):
-            if isinstance(outcome, Exception):
-                raise RuntimeError(f"{job[0]}, seed {job[1]} failed") from outcome
-            results[job] = outcome
-    return results
-
-
-def write(out: Path, results: list[Result]) -> None:
-    """Tables to the terminal, everything to files."""
-    matched, mismatched = [r for r in results if r.matched], [r for r in results if not r.matched]
-    tables = [campaign_report.verdict(results)]
-    if matched:
-        tables.append(campaign_report.flight_table("Matched sensors", matched))
-        tables += [campaign_report.phase_table(matched), campaign_report.worst_table(matched)]
-    if mismatched:
-        tables.append(campaign_report.flight_table("Sensors that do not match the model (figures only)", mismatched))
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "report.md").write_text(campaign_report.markdown(tables), encoding="utf-8")
-    (out / "results.json").write_bytes(msgspec.json.format(msgspec.json.encode({"flights": results}), indent=1))
-    print("\n".join(table.markdown() for table in tables))
-    print(f"Report: {out / 'report.md'}")
+def fly(job: tuple[str, int]) -> Score:
+    """A run of a flight."""
+    return run(FLIGHTS[job[0]], job[1])
 
 
 if __name__ == "__main__":

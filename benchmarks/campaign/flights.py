@@ -1,7 +1,4 @@
-"""The campaign's flights: vehicles, sensors, outages, and the filter's configuration of them.
-
-Matched: sensors are what the filter's model says. Mismatched: an assumption is broken.
-"""
+"""The campaign's flights: vehicles, sensors as the filter's model has them, outages, and the configuration."""
 
 import math
 import zlib
@@ -46,17 +43,13 @@ class Instant(msgspec.Struct, frozen=True):
 class Flight(msgspec.Struct, frozen=True, kw_only=True):
     """A scenario of the simulator with its outages (begin, end), and the filter's configuration.
 
-    matched: sensors as modelled; configured_slow_m: [gnss] slow_sigma_m; configured_noise: multiple of the grade's noise;
-    configured_scale: [imu] gyro_scale.
+    configured_noise: multiple of the grade's noise.
     """
 
     name: str
     scenario: Scenario
     outages_s: tuple[Interval, ...]
-    matched: bool = True
-    configured_slow_m: float = 0.0
     configured_noise: float = 1.0
-    configured_scale: float = 0.0
 
     def seed(self, run: int) -> int:
         """Of the simulation: flights do not share their noise, so that their cells are independent."""
@@ -79,7 +72,7 @@ class Flight(msgspec.Struct, frozen=True, kw_only=True):
         """The IMU's as the filter knows it: white noise of the grade or a multiple of it, random walks of the grade."""
         noise = GRADES[self.scenario.imu.grade].noise
         white = {"gyro_noise": noise.gyro_noise * self.configured_noise, "accel_noise": noise.accel_noise * self.configured_noise}
-        return msgspec.structs.replace(noise, **white, gyro_scale=self.configured_scale)
+        return msgspec.structs.replace(noise, **white)
 
     def config(self, process_scale: float = 1.0) -> FusionConfig:
         """What the filter knows: the IMU's noise, its turn-on biases as prior; process_scale multiplies Q."""
@@ -90,8 +83,7 @@ class Flight(msgspec.Struct, frozen=True, kw_only=True):
             accel_bias_sigma=GRADES[imu.grade].accel_turn_on * imu.turn_on,
             still_gyro=_NEVER_STILL,
         )
-        slow_s = self.scenario.gnss.slow_tau_s if self.scenario.gnss else 60.0
-        gnss = GnssConfig(slow_sigma_m=self.configured_slow_m, slow_s=slow_s, velocity_slow_sigma_m_s=0.0)
+        gnss = GnssConfig(slow_sigma_m=0.0, velocity_slow_sigma_m_s=0.0)
         pose_fix = PoseConfig(tilt_deg=0.0, mount_deg=0.0)  # simulated fixes: level, true
         return FusionConfig(imu=ImuNoise(**scaled), gnss=gnss, pose_fix=pose_fix, initialise=prior, origin=self.scenario.origin)
 
@@ -116,7 +108,6 @@ def flight(
     lengths_s: tuple[float, ...] = LENGTHS_S,
     aided_s: float = AIDED_S,
     between_s: float = BETWEEN_S,
-    matched: bool = True,
     configured_noise: float = 1.0,
 ) -> Flight:
     """A flight whose absolute aids are all gone in each outage; alone: GNSS without pose fixes at the start."""
@@ -135,7 +126,7 @@ def flight(
         pose_fix=pose_fix,
         gnss=replace(gnss, outages_s=gone) if gnss else None,
     )
-    return Flight(name=name, scenario=scenario, outages_s=gone, matched=matched, configured_noise=configured_noise)
+    return Flight(name=name, scenario=scenario, outages_s=gone, configured_noise=configured_noise)
 
 
 def matched() -> list[Flight]:
@@ -155,34 +146,4 @@ def matched() -> list[Flight]:
         flight("wing-ind-gnss5", wing, imu=industrial, gnss=white),
         flight("rotor-fc-gnss5-alone", rotor, imu=controller, gnss=white, alone=True),
         flight("wing-fc-gnss5-alone", wing, imu=controller, gnss=white, alone=True),
-    ]
-
-
-def mismatched() -> list[Flight]:
-    """Each with an error that the model does not know; the bound stays that of matched sensors."""
-    controller, fixes, short = Imu(grade="flight_controller", rate_hz=IMU_HZ), PoseFixes(rate_hz=2.0), (10.0, 60.0)
-    slow = Gnss(rate_hz=5.0, slow_sigma_m=1.0, slow_tau_s=120.0)
-    common = msgspec.structs.replace(fixes, common_sigma_m=0.3, common_sigma_deg=0.5)
-    unreported = msgspec.structs.replace(common, common_reported=False)
-
-    def of(
-        name: str, *, imu: Imu = controller, pose_fix: PoseFixes | None = None, gnss: Gnss | None = None,
-        slow_m: float = 0.0, scale: float = 0.0,
-    ) -> Flight:  # fmt: skip
-        plain = flight(name, Multirotor(), imu=imu, pose_fix=pose_fix, gnss=gnss, lengths_s=short, matched=False)
-        return msgspec.structs.replace(plain, configured_slow_m=slow_m, configured_scale=scale)
-
-    def imu(**errors: float) -> Imu:
-        return Imu(grade="flight_controller", rate_hz=IMU_HZ, **errors)
-
-    return [
-        of("scale-0.3%", imu=imu(scale_sigma=0.003), pose_fix=fixes),
-        of("scale-0.3%-modelled", imu=imu(scale_sigma=0.003), pose_fix=fixes, scale=0.003),
-        of("misaligned-0.3deg", imu=imu(misalignment_deg=0.3), pose_fix=fixes),
-        of("misaligned-0.3deg-modelled", imu=imu(misalignment_deg=0.3), pose_fix=fixes, scale=math.radians(0.3)),
-        of("noise-x2", imu=imu(noise_multiplier=2.0), pose_fix=fixes),
-        of("slow-gnss-ignored", gnss=slow),
-        of("slow-gnss-considered", gnss=slow, slow_m=slow.slow_sigma_m),
-        of("map-error-reported", pose_fix=common),
-        of("map-error-unreported", pose_fix=unreported),
     ]

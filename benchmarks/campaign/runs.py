@@ -29,12 +29,12 @@ Arrived = tuple[int, str, str]  # t_ns, topic, kind: one measurement
 class Score(msgspec.Struct, frozen=True):
     """One run at k instants: nees (k, PARTS), squared errors and bound's traces (k, BLOCKS); what became of the valid fixes.
 
-    nan where there was no estimate; resets: jumps reported; internal: defects reported.
+    None, or nan, where there was no estimate; resets: jumps reported; internal: defects reported.
     """
 
-    nees: Array
-    squared: Array
-    bound: Array
+    nees: list[list[float | None]]
+    squared: list[list[float | None]]
+    bound: list[list[float]]
     fixes: dict[str, int]
     resets: int
     internal: int
@@ -54,9 +54,9 @@ def run(flight: Flight, number: int, process_scale: float = 1.0) -> Score:
             nees[k] = [normalised_squared(error[part], estimates[t_ns].covariance[np.ix_(part, part)]) for part in PARTS.values()]
             squared[k] = [error[block] @ error[block] for block in BLOCKS.values()]
     return Score(
-        nees=nees,
-        squared=squared,
-        bound=np.array([[np.trace(P[block, block]) for block in BLOCKS.values()] for P in bound]),
+        nees=nees.tolist(),
+        squared=squared.tolist(),
+        bound=[[float(np.trace(P[block, block])) for block in BLOCKS.values()] for P in bound],
         fixes=dict(Counter(reasons.values())),
         resets=max((e.reset_counter for e in estimates.values()), default=0),
         internal=sum(reason is Reason.INTERNAL for reason in reasons.values()),

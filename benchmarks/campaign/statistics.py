@@ -79,7 +79,6 @@ class Result(msgspec.Struct, frozen=True):
     """A flight over all its seeds; fixes: valid measurements by what became of them."""
 
     name: str
-    matched: bool
     runs: int
     wholes: list[Whole]
     consistency: list[Consistency]
@@ -105,7 +104,7 @@ class Result(msgspec.Struct, frozen=True):
 
 def judge(flight: Flight, scores: Sequence[Score]) -> Result:
     """All cells of a flight."""
-    nees, squared, bound = (np.array([getattr(s, name) for s in scores]) for name in ("nees", "squared", "bound"))
+    nees, squared, bound = (np.array([getattr(s, name) for s in scores], float) for name in ("nees", "squared", "bound"))
     cells, efficiencies = [], []
     for k, instant in enumerate(flight.instants()):
         for j, (part, indices) in enumerate(PARTS.items()):
@@ -119,7 +118,7 @@ def judge(flight: Flight, scores: Sequence[Score]) -> Result:
         fixes.update(score.fixes)
     wholes = [whole(part, nees[:, :, j], len(indices)) for j, (part, indices) in enumerate(PARTS.items())]
     internal = sum(s.internal for s in scores)
-    return Result(flight.name, flight.matched, len(scores), wholes, cells, efficiencies, dict(fixes), internal)
+    return Result(flight.name, len(scores), wholes, cells, efficiencies, dict(fixes), internal)
 
 
 def whole(part: str, values: Array, dof: int) -> Whole:
@@ -138,11 +137,6 @@ def consistency(instant: Instant, part: str, values: np.ndarray[tuple[int], np.d
     scale = 1.0 / (n * dof)
     mean = float(there.mean()) / dof
     return Consistency(instant, part, n, len(values) - n, mean, (low95 * scale, high95 * scale), (low * scale, high * scale))
-
-
-def pooled_nees(cells: Iterable[Consistency]) -> float:
-    """Mean of NEES/dof over cells."""
-    return float(np.mean([cell.mean for cell in cells]))
 
 
 def pooled_ratio(cells: Iterable[Efficiency]) -> float:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from hashlib import sha256
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 
@@ -20,7 +20,6 @@ from benchmarks.drawn.__main__ import SECONDS, fly_all, summary
 from benchmarks.drawn.__main__ import report as drawn_report
 from benchmarks.drawn.faults import FAULTS_A_FLIGHT, KINDS, RATES
 from benchmarks.drawn.rates import AIDS, NONE, Flown
-from benchmarks.evidence.requirements import REQUIREMENTS
 from benchmarks.flights.tasks import ROOT
 from benchmarks.integrity.pictures import draw
 from benchmarks.integrity.record import RECORD, added
@@ -32,29 +31,20 @@ from estimator.version import version
 
 _PAGE = ROOT / "docs" / "integrity.md"
 _TREE = ROOT / "docs" / "images" / "integrity_faults.svg"
-_STANDARDS = (
-    (
-        "SORA 2.5 (JARUS; EASA AMC to Article 11 of Regulation (EU) 2019/947)",
-        "integrity and assurance (low, medium, high) of a mitigation or a safety objective are argued by the operator; a pack "
-        "like this one is an input to the argument",
-        "no level of either is claimed",
-    ),
-    (
-        "EUROCAE ED-12C / RTCA DO-178C (EASA AMC 20-115D)",
-        "requirements, tests and their tracing have its form",
-        "a software level; independence, structural coverage, tool qualification",
-    ),
-    (
-        "EUROCAE ED-324 / SAE ARP6983",
-        "for machine-learned parts: the estimator and its levels have none",
-        "landfix[learned], to which it applies",
-    ),
-    (
-        "RTCA DO-229 (SBAS), ARAIM",
-        "terms, Stanford diagram and multiple-hypothesis levels follow them",
-        "their threat models, which are of satellites",
-    ),
-)
+
+
+class Requirement(NamedTuple):
+    """tests: file::function under tests/; result: a file of the pack, or empty where the tests are the result."""
+
+    name: str
+    text: str
+    tests: tuple[str, ...]
+    result: str = ""
+
+
+_DATA = json.loads((ROOT / "benchmarks" / "data" / "evidence.json").read_text(encoding="utf-8"))
+REQUIREMENTS = tuple(Requirement(**one) for one in _DATA["requirements"])
+_STANDARDS = [tuple(line) for line in _DATA["standards"]]
 
 
 def write(folder: Path, hours: float, jobs: int | None = 1, scheduler: str = "", record: Path = RECORD) -> Path:

@@ -1,16 +1,19 @@
 """From the scores of many runs to the tables a person compares."""
 
+import json
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import Any
+from pathlib import Path
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from benchmarks.flights.peers import PEERS, Row
 from benchmarks.flights.runs import NAIVE, OURS
 from benchmarks.tables import Table, number
 
 Run = dict[str, Any]
+Row: TypeAlias = dict[str, float]
+PEERS: Final[dict[str, dict[str, Row]]] = json.loads((Path(__file__).parents[1] / "data" / "peers.json").read_text())["scenarios"]
 COLUMNS = {
     "pos_m": "pos m",
     "att_deg": "att deg",

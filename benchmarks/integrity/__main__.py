@@ -2,12 +2,10 @@
 
 python -m benchmarks.integrity --quick              simulated flights: the stress table and villages (minutes)
 python -m benchmarks.integrity                      those of LANDFIX_DATA too: outages, false fixes, outliers (an hour)
-python -m benchmarks.integrity --looks 1000000 --rendered 20000   frames of the identification benchmarks in addition (hours)
-python -m benchmarks.integrity --groups looks --looks 1000000     these alone
 python -m benchmarks.integrity --scheduler tcp://10.0.0.5:8786
 
 What was done stands in out/integrity/rows.jsonl and is not done again; delete the file to begin anew. When the run ends,
-also by Ctrl-C, its counts are added to docs/integrity_runs.csv. Frames and pairs that stand there are not done again either.
+also by Ctrl-C, its counts are added to docs/integrity_runs.csv.
 """
 
 import argparse
@@ -15,11 +13,8 @@ import os
 from pathlib import Path
 
 from benchmarks.flights.tasks import ROOT, SETS, data_folder, flights
-from benchmarks.identification.images import LAYOUTS
-from benchmarks.identification.numbers import WORLDS
 from benchmarks.integrity.pictures import draw
-from benchmarks.integrity.record import RECORD, added, not_yet
-from benchmarks.integrity.rendered import LIGHTS
+from benchmarks.integrity.record import RECORD, added
 from benchmarks.integrity.report import groups, groups_table, summary, table
 from benchmarks.integrity.rows import Row
 from benchmarks.integrity.runs import Job, run
@@ -27,16 +22,15 @@ from benchmarks.jobs import results_in, run_jobs
 from benchmarks.stress.perturbations import KINDS
 
 _SCENARIOS = "ACXB"  # of the scoring tool: outages, false fixes after outages, outliers, one long outage
-_GROUPS = ("village", "stress", "real", "rendered", "looks", "images")
-_FRAMES, _PAIRS = 1000, 24  # of a job
+_GROUPS = ("village", "stress", "real")
 _VILLAGE_S = 300.0
 
 
 def main() -> None:
     args = arguments()
     os.environ["OMP_NUM_THREADS"] = "1"  # inherited: one thread a process
-    work = jobs(args.out / "tasks", quick=args.quick, seeds=args.seeds, looks=args.looks, images=args.rendered)
-    work = not_yet((job for job in work if job[0] in args.groups), args.record)
+    work = jobs(args.out / "tasks", quick=args.quick, seeds=args.seeds)
+    work = [job for job in work if job[0] in args.groups]
     kept = args.out / "rows.jsonl"
     try:
         rows = run_jobs(work, run, Row, kept, processes=args.jobs, resume=True, scheduler=args.scheduler)
@@ -50,8 +44,8 @@ def main() -> None:
     print(f"{args.out}/report.md, rows.jsonl, stanford.png")
 
 
-def jobs(tasks: Path, *, quick: bool, seeds: int, looks: int, images: int) -> list[Job]:
-    """Villages, the stress table on simulated flights, recorded and rendered flights, identification."""
+def jobs(tasks: Path, *, quick: bool, seeds: int) -> list[Job]:
+    """Villages, the stress table on simulated flights, recorded flights."""
     folder = str(tasks)
     work: list[Job] = [
         ("village", vehicle, aids, _VILLAGE_S, seed, folder)
@@ -67,12 +61,6 @@ def jobs(tasks: Path, *, quick: bool, seeds: int, looks: int, images: int) -> li
         work += [("real", flight, scenario, 0.0, 0, folder) for scenario in _SCENARIOS for flight in recorded]
         work += [("stress", flight, "nothing, with GNSS", 0.0, 0, folder) for flight in recorded]
     work += [] if quick else [("stress", "sim/wing", *cell, 0, folder) for cell in cells]
-    if not quick:
-        work += [("rendered", light, "", 0.0, seed, folder) for seed in range(1, seeds + 1) for light in LIGHTS]
-    batches = looks // (_FRAMES * len(WORLDS))
-    work += [("looks", world, "", float(_FRAMES), seed, folder) for seed in range(batches) for world in WORLDS]
-    batches = images // (_PAIRS * len(LAYOUTS))
-    work += [("images", world, "prior 10 m", float(_PAIRS), seed, folder) for seed in range(batches) for world in LAYOUTS]
     return work
 
 
@@ -80,10 +68,6 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="simulated flights, the two largest sizes of each kind")
     parser.add_argument("--seeds", type=int, default=3, help="of the villages")
-    parser.add_argument(
-        "--looks", type=int, default=0, help="frames of the identification benchmark, those of the record among them"
-    )
-    parser.add_argument("--rendered", type=int, default=0, help="the same of its pairs of rendered images")
     parser.add_argument("--groups", nargs="+", choices=_GROUPS, default=_GROUPS, help="these alone")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--scheduler", default="", metavar="ADDRESS", help="dask.distributed scheduler")

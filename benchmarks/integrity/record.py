@@ -5,7 +5,7 @@ again replaces the one before; the commit that changed the line names the code t
 """
 
 import csv
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -13,14 +13,12 @@ import msgspec
 
 from benchmarks.flights.tasks import ROOT
 from benchmarks.integrity.rows import Row
-from benchmarks.integrity.runs import Job
 
 RECORD: Final = ROOT / "docs" / "integrity_runs.csv"
 _OTHERS: Final = ("group", "flight", "kind", "size", "seed", "hours", "hazards", "worst", "fixes", "wrong", "mistaken")
 _EVENTS: Final = ("above_1e-3", "above_1e-5", "above_1e-7")
 COLUMNS: Final = (*_OTHERS, *_EVENTS)
 _JOB: Final = 5  # columns that name it
-_IDENTIFICATION: Final = ("looks", "images")
 
 
 def added(rows: Sequence[Row], record: Path = RECORD) -> list[Row]:
@@ -34,17 +32,6 @@ def added(rows: Sequence[Row], record: Path = RECORD) -> list[Row]:
         writer.writerow(COLUMNS)
         writer.writerows(lines[job] for job in sorted(lines))
     return [_row(lines[job]) for job in sorted(lines)]
-
-
-def not_yet(jobs: Iterable[Job], record: Path = RECORD) -> list[Job]:
-    """Without the looks and rendered pairs that stand in the record: a seed counts once, by the code of its time."""
-    known = {tuple(line[:_JOB]) for line in _read(record)}
-    return [job for job in jobs if job[0] not in _IDENTIFICATION or _named(job) not in known]
-
-
-def _named(job: Job) -> tuple[str, ...]:
-    group, name, kind, size, seed, _ = job
-    return group, name, kind, f"{size:.5g}", str(seed)
 
 
 def _read(record: Path) -> list[list[str]]:

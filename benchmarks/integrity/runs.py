@@ -1,4 +1,4 @@
-"""One flight with protection levels, compared with its truth; or frames of the identification benchmark."""
+"""One flight with protection levels, compared with its truth."""
 
 from pathlib import Path
 from typing import Final, TypeAlias
@@ -7,11 +7,6 @@ import msgspec
 import numpy as np
 
 from benchmarks.flights.tasks import Task
-from benchmarks.identification.images import FRAMES_PER_WORLD, run_world
-from benchmarks.identification.images import Outcome as RenderedOutcome
-from benchmarks.identification.numbers import WORLDS
-from benchmarks.identification.numbers import run as look_at
-from benchmarks.integrity import rendered
 from benchmarks.integrity.rows import LIMITS, Row, row_of
 from benchmarks.stress.cell import perturbed
 from benchmarks.stress.flights import Flight, load_flight, of_task
@@ -25,32 +20,16 @@ from models.sim.ranges import Interval
 from models.sim.scenario import Scenario, simulate
 from models.sim.sensors import Imu
 from models.sim.trajectory import FixedWing, Multirotor
-from vision.synthetic.scenes import Layout
 
-# group (stress, real, village, rendered, looks, images); flight, light or world; kind, scenario, aids or prior; size, seconds or
-# frames; seed; folder of tasks
+# group (stress, real, village); flight; kind, scenario or aids; size or seconds; seed; folder of tasks
 Job: TypeAlias = tuple[str, str, str, float, int, str]
 
 _NEAR_NS: Final = 15_000_000
-_SEEDS: Final = 1000  # of the rendered pairs, apart from those of docs/vision_identify.md
 
 
 def run(job: Job) -> Row:
-    """The flight, or the frames."""
+    """The flight."""
     group, name, kind, size, seed, tasks = job
-    if group == "looks":
-        outcomes = look_at(WORLDS[name], round(size), seed)
-        fixes, wrong = sum(o.fixed for o in outcomes), sum(o.wrong_fix for o in outcomes)
-        mistaken = sum(o.wrong_fix and o.wrong > 0 for o in outcomes)
-        return Row(group, name, kind, size, seed, fixes=fixes, wrong=wrong, mistaken=mistaken)
-    if group == "images":
-        pairs = images(name, kind, round(size), seed)
-        fixes, wrong = sum(o.error_m is not None for o in pairs), sum(o.wrong_fix for o in pairs)
-        mistaken = sum(o.wrong_fix and o.wrong > 0 for o in pairs)
-        return Row(group, name, kind, size, seed, fixes=fixes, wrong=wrong, mistaken=mistaken)
-    if group == "rendered":
-        row = rendered.fly(name, seed, Path(tasks) / f"{name} {seed}")
-        return msgspec.structs.replace(row, group=group, flight=name, kind=kind, size=size, seed=seed)
     flight: Flight | None
     if group == "stress":
         flight = load_flight(name, KINDS[kind].aids, seed, Path(tasks))
@@ -62,14 +41,6 @@ def run(job: Job) -> Row:
             return Row(group, name, kind, size, seed)
         messages = flight.messages
     return msgspec.structs.replace(measured(flight, messages), group=group, flight=name, kind=kind, size=size, seed=seed)
-
-
-def images(layout: str, prior: str, pairs: int, seed: int) -> list[RenderedOutcome]:
-    """Stereo pairs of rendered images; prior: "prior 10 m"."""
-    found = list[RenderedOutcome]()
-    for world in range(pairs // FRAMES_PER_WORLD):
-        found += run_world((msgspec.convert(layout, Layout), float(prior.split()[1]), False, _SEEDS + seed, 0, world))
-    return found
 
 
 def recorded(name: str, scenario: str, seed: int, tasks: Path) -> Flight | None:

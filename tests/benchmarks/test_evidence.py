@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.drawn.faults import Fault
-from benchmarks.evidence.pack import document
-from benchmarks.evidence.requirements import REQUIREMENTS, Requirement
+from benchmarks.evidence.pack import REQUIREMENTS, Requirement, document
 from tests.benchmarks.test_drawn import flown
 
 TESTS = Path(__file__).parents[1]

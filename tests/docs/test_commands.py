@@ -19,8 +19,7 @@ import numpy as np
 import pytest
 import typer
 
-from benchmarks.aerial import brighton, spacenet
-from benchmarks.aerial.tagged import tagged
+from benchmarks.aerial import brighton
 from benchmarks.flights.tasks import data_folder
 from calib.board.chessboard import Board
 from calib.cameras.bundle import Pose
@@ -40,6 +39,8 @@ from tests.boards import views
 from tests.boards.motion import EUROC_NOISE, Truth, record
 from tests.docs import started
 from tests.estimator.commands.photos import of_scene
+from tests.real import footprints
+from tests.real.tagged_photos import tagged
 from vision.synthetic.scenes import WorldSpec, make_world
 
 ROOT = Path(__file__).parents[2]
@@ -147,10 +148,10 @@ def a_photo_and_footprints(folder: Path) -> None:
 def a_satellite_image_and_a_photo(folder: Path) -> None:
     """The public files of the page, the photo with its tags written into it again."""
     data = data_folder()
-    if not (data / spacenet.FOLDER).is_dir() or not (data / brighton.FOLDER).is_dir():
+    if not (data / footprints.FOLDER).is_dir() or not (data / brighton.FOLDER).is_dir():
         pytest.skip("the public images are not here (LANDFIX_DATA)")
     for name in ("geotiff_labels.geojson", "sample_geotiff.tif"):
-        (folder / name).symlink_to(data / spacenet.FOLDER / name)
+        (folder / name).symlink_to(data / footprints.FOLDER / name)
     tagged(data, "DJI_0033.jpg", folder).rename(folder / "DJI_0033.JPG")
     (folder / "benchmarks").symlink_to(ROOT / "benchmarks")
 

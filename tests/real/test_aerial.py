@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.aerial import brighton, nust, spacenet
+from benchmarks.aerial import brighton, nust
 from benchmarks.aerial.reference import Reference, plane_pose
 from benchmarks.aerial.trials import Outcome, Spread, Trial, generator, outline_share, run, turned
 from models import so3
 from models.camera import CameraModel
 from models.maps.landmarks import Landmark, LandmarkMap
+from tests.real import footprints
 
 PHOTOS = ("DJI_0026.jpg", "DJI_0033.jpg", "DJI_0034.jpg")
 FRAMES = (700, 750, 800)
@@ -23,7 +24,7 @@ WIDTH = brighton.AS_FINE_AS_THE_MAP
 
 @pytest.fixture(scope="module")
 def landfix_images(landfix_data: Path) -> Path:
-    if not all((landfix_data / one.FOLDER).is_dir() for one in (brighton, nust, spacenet)):
+    if not all((landfix_data / one.FOLDER).is_dir() for one in (brighton, nust, footprints)):
         pytest.skip("no aerial images: LANDFIX_DATA has no images/brighton_beach_uav, nust_..., spacenet_...")
     return landfix_data
 
@@ -84,17 +85,17 @@ def test_helipads_of_the_video(landfix_images: Path) -> None:
 @pytest.mark.parametrize(("size", "least"), [(10, 7), (3, 1)])
 def test_footprints_are_found_together_and_turned_ones_are_not(landfix_images: Path, size: int, least: int) -> None:
     """Hipped roofs under trees: hardly one of them gives a fit. Three outlines rarely have one place only."""
-    of = spacenet.scene(landfix_images)
+    of = footprints.scene(landfix_images)
     trials, decoys = [], []
-    for marks in spacenet.sets(of.landmarks, size)[::6]:
+    for marks in footprints.sets(of.landmarks, size)[::6]:
         rng = generator(0, marks[0].id, size)
-        apart_m = spacenet.misregistration(of, marks)
+        apart_m = footprints.misregistration(of, marks)
         assert np.linalg.norm(apart_m) < 1.2  # the file's footprints lie on their houses, whichever are left out
-        case = spacenet.case(of, marks[0].id, marks, apart_m)
-        trials.append(Trial(case, 0, spacenet.prior(case, rng)))
+        case = footprints.case(of, marks[0].id, marks, apart_m)
+        trials.append(Trial(case, 0, footprints.prior(case, rng)))
         turned_marks = turned(marks, np.mean([m.centre_n for m in marks], axis=0), rng)
-        decoy = spacenet.case(of, marks[0].id, turned_marks, apart_m)
-        decoys.append(Trial(decoy, 0, spacenet.prior(decoy, rng)))
+        decoy = footprints.case(of, marks[0].id, turned_marks, apart_m)
+        decoys.append(Trial(decoy, 0, footprints.prior(decoy, rng)))
     assert len(trials) == 8
     found = [o for o in outcomes(trials) if o.accepted]
     assert len(found) >= least
@@ -103,19 +104,19 @@ def test_footprints_are_found_together_and_turned_ones_are_not(landfix_images: P
 
 
 def test_an_image_that_is_shifted_shows_as_misregistration(landfix_images: Path) -> None:
-    of = spacenet.scene(landfix_images)
-    some = spacenet.sets(of.landmarks, 10)[0]
-    moved = spacenet.Scene(of.image, of.landmarks, of.camera, of.p_nc, of.R_nc, np.roll(of.slope, (4, -3), axis=(1, 2)))
-    apart = spacenet.misregistration(moved, some) - spacenet.misregistration(of, some)
-    np.testing.assert_allclose(apart, spacenet.STEP_M * np.array([-3.0, 4.0]), atol=0.1)
+    of = footprints.scene(landfix_images)
+    some = footprints.sets(of.landmarks, 10)[0]
+    moved = footprints.Scene(of.image, of.landmarks, of.camera, of.p_nc, of.R_nc, np.roll(of.slope, (4, -3), axis=(1, 2)))
+    apart = footprints.misregistration(moved, some) - footprints.misregistration(of, some)
+    np.testing.assert_allclose(apart, footprints.STEP_M * np.array([-3.0, 4.0]), atol=0.1)
 
 
 def test_a_shifted_prior_shows_as_projected_shift(landfix_images: Path) -> None:
     """North is up but for the grid's convergence of 1.4 degrees: a camera moved north shows the houses moved down."""
-    of = spacenet.scene(landfix_images)
-    marks = spacenet.sets(of.landmarks, 3)[0]
-    case = spacenet.case(of, "", marks, np.zeros(2))
-    shift = spacenet.projected_shift(of, marks, case.p_n + np.array([10.0, 0.0, 0.0]), case.R_nb)
+    of = footprints.scene(landfix_images)
+    marks = footprints.sets(of.landmarks, 3)[0]
+    case = footprints.case(of, "", marks, np.zeros(2))
+    shift = footprints.projected_shift(of, marks, case.p_n + np.array([10.0, 0.0, 0.0]), case.R_nb)
     np.testing.assert_allclose(shift, [0.0, 10.0], atol=0.4)
     assert case.judge(case.p_n + np.array([10.0, 0.0, 0.0]), case.R_nb) == pytest.approx(10.0, abs=0.1)
 

@@ -8,8 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmarks.aerial import brighton
-from benchmarks.aerial.tagged import tagged
 from estimator.cli import app
+from tests.real.tagged_photos import tagged
 
 
 @pytest.fixture(scope="module")

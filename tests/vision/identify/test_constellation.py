@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.identification.numbers import CONFIG
-from benchmarks.identification.worlds import RIG, SCALE_SIGMA, Conditions, draw_error, draw_pose, draw_world, observe
 from models.prior import Prior
+from tests.vision.identify.judged import CONFIG
+from tests.vision.identify.look_alikes import RIG, SCALE_SIGMA, Conditions, draw_error, draw_pose, draw_world, observe
 from vision.identify.catalogue import Sighting, catalogue
 from vision.identify.constellation import Constellation, MemoryConfig
 from vision.identify.identify import identify

@@ -7,10 +7,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from benchmarks.identification.numbers import judge, run
-from benchmarks.identification.worlds import RIG, SCALE_SIGMA, Conditions, Frame, draw_error, draw_pose, draw_world, observe
 from models import so3
 from models.prior import Prior
+from tests.vision.identify.judged import judge, run
+from tests.vision.identify.look_alikes import RIG, SCALE_SIGMA, Conditions, Frame, draw_error, draw_pose, draw_world, observe
 from vision.identify.catalogue import Assumptions, Catalogue, Sighting, catalogue
 from vision.identify.identify import NONE, Identification, identify
 

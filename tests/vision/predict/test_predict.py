@@ -9,8 +9,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from benchmarks.fixes.outcome import outcome_of
-from benchmarks.fixes.single_fix_views import draw_view
 from models import so3
 from models.camera import StereoRig
 from models.maps.landmarks import Landmark, LandmarkMap
@@ -18,6 +16,7 @@ from models.messages import Array
 from models.prior import Prior
 from tests import long
 from tests.vision.part_views import part_view
+from tests.vision.predict.drawn_views import draw_view, found_of
 from tests.vision.predict.views import PRIOR_PX, decoy, images_of, later, prior_of
 from tests.vision.roofs import nadir_rig
 from vision.identify.ambiguity import steps_off
@@ -126,10 +125,10 @@ def test_one_roof_whose_size_the_search_mistakes_is_fitted_from_other_distances(
     images = images_of(view)
     priors = {d: prior_of(view, PRIOR_PX, d) for d in (20.0, 40.0, 80.0, 120.0, 160.0)}
     result = pipeline(view.landmarks, view.rig).process(*images, 1, priors[off_px])
-    found = outcome_of(view, result.pose, "")
+    found = found_of(view, result.pose)
     assert result.fix is not None, result.report
     assert found.error_m < 1.2
-    assert 3.0 * found.position < CHI2_9999_OF_3
+    assert found.squared < CHI2_9999_OF_3
 
 
 def test_other_distances_leave_one_roof_where_it_is_in_the_image() -> None:
@@ -449,7 +448,7 @@ def test_a_position_of_chance_is_no_fix_by_its_odds(number: int, kind: str) -> N
     for config in (PipelineConfig(path="predict"), blind):
         looking = LandmarkPipeline(view.rig, LandmarkMap.from_landmarks(ORIGIN, view.landmarks), config)
         first, second = looking.process(*images, 1, prior), looking.process(*then, 500_000_001, later_prior)
-        outcomes = (outcome_of(view, first.pose, first.report.detail), outcome_of(moved, second.pose, second.report.detail))
+        outcomes = (found_of(view, first.pose), found_of(moved, second.pose))
         assert config is blind or first.fix is None
         wrong.append(any(one.wrong for one in outcomes))
     assert wrong == [False, True]
@@ -466,7 +465,7 @@ def test_one_landmark_seen_twice_is_not_confirmed_by_that(kind: str, number: int
         looking = LandmarkPipeline(view.rig, LandmarkMap.from_landmarks(ORIGIN, view.landmarks), config)
         first, second = looking.process(*images, 1, prior), looking.process(*then, 500_000_001, later_prior)
         assert (first.fix, first.report.outcome) == (None, "waiting")
-        wrong.append(second.fix is not None and outcome_of(moved, second.pose, "").error_m > 5.0)
+        wrong.append(second.fix is not None and found_of(moved, second.pose).error_m > 5.0)
     assert wrong == [False, True]
 
 
@@ -508,7 +507,7 @@ def test_of_two_that_look_alike_both_seen_the_next_position_would_lack_one(numbe
     images, prior = images_of(view), prior_of(view, PRIOR_PX, 160.0)
     result = pipeline(view.landmarks, view.rig).process(*images, 1, prior)
     assert result.pose is not None, result.report
-    assert not outcome_of(view, result.pose, "").wrong
+    assert not found_of(view, result.pose).wrong
     marks = list(view.landmarks)
     alike = steps_off(result.pose.joint_p_n, marks, marks, prior.p_n, prior.covariance, 1e3, 1.0 / 3.0)
     assert len(alike) > 0

@@ -1,16 +1,16 @@
-"""Views for the outline path: those of single_fix_views, priors off by given pixels, decoys."""
+"""Views for the outline path: those of drawn_views, priors off by given pixels, decoys."""
 
 import math
 from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.fixes.single_fix_views import NADIR, Cell, View, draw_view
 from models import so3
 from models.camera import CameraModel, StereoRig
 from models.maps.landmarks import Landmark
 from models.messages import Array
 from models.prior import Prior
+from tests.vision.predict.drawn_views import NADIR, Cell, View, draw_view
 from vision.image.rectify import Image
 from vision.pose.sensitivity import eyes
 from vision.predict.motion import motion

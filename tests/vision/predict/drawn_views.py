@@ -3,9 +3,9 @@
 Everything is drawn from (seed, cell, number): true = nominal (+) error within the covariances that the estimator gets.
 """
 
-import itertools
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,12 +14,11 @@ from models.camera import CameraModel, StereoRig
 from models.maps.landmarks import Landmark
 from models.messages import Array
 from models.prior import Prior
+from vision.pose.pose import PoseEstimate
 from vision.synthetic.camera_effects import Conditions
 from vision.synthetic.ground import Ground
 from vision.synthetic.world import Appearance, Sun, World
 
-HEIGHTS_M = (10.0, 20.0, 40.0, 60.0, 90.0, 120.0)
-TILTS_DEG = (0.0, 5.0, 12.0, 25.0)
 MARKS = (1, 2, 3)
 ROOFS = ("painted", "pale")
 MAP_SIGMAS_M = (0.0, 0.5)
@@ -29,6 +28,7 @@ PAINTS = ((40, 40, 190), (190, 70, 40), (40, 160, 200), (60, 140, 50), (160, 60,
 PALES = ((150, 165, 172), (170, 176, 180), (128, 140, 150), (110, 128, 150), (185, 190, 192))
 ATTITUDE_SIGMA_DEG = (0.5, 0.5, 2.0)
 POSITION_SIGMA_M = (5.0, 5.0, 3.0)
+WRONG_M, CHI2_9999_OF_3 = 3.0, 21.11
 
 
 @dataclass(frozen=True)
@@ -57,11 +57,6 @@ class View:
     landmarks: tuple[Landmark, ...]
     prior: Prior
     rng: np.random.Generator
-
-
-def cells() -> list[Cell]:
-    """All cells, every one of them a combination."""
-    return [Cell(*c) for c in itertools.product(HEIGHTS_M, TILTS_DEG, MARKS, ROOFS, MAP_SIGMAS_M, TAKES)]
 
 
 def draw_view(seed: int, number: int) -> View:
@@ -204,3 +199,23 @@ def _prior(p_n: Array, R_nb: Array, rng: np.random.Generator) -> Prior:
     error = rng.normal(size=6) * sigma
     q = so3.multiply(so3.quat_exp(-error[3:]), so3.from_matrix(R_nb))
     return Prior(p_n - error[:3], so3.normalise(q), np.diag(sigma**2))
+
+
+class Found(NamedTuple):
+    """error_m: of the position, prior and images together; squared: its squared Mahalanobis distance."""
+
+    error_m: float = 0.0
+    squared: float = 0.0
+
+    @property
+    def wrong(self) -> bool:
+        """Off by more than 3 m and outside its own 99.99 % ellipsoid."""
+        return self.error_m > WRONG_M and self.squared > CHI2_9999_OF_3
+
+
+def found_of(view: View, fit: PoseEstimate | None) -> Found:
+    """Compared with the truth."""
+    if fit is None:
+        return Found()
+    e = view.p_n - fit.joint_p_n
+    return Found(float(np.linalg.norm(e)), float(e @ np.linalg.solve(fit.joint_covariance[:3, :3], e)))

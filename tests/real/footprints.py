@@ -5,7 +5,7 @@ against all *other* footprints.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from benchmarks.aerial.reference import plane_pose, utm_to_ned
-from benchmarks.aerial.trials import Case, Spread, Trial, generator, nadir_rig, turned
+from benchmarks.aerial.trials import Case, Spread, nadir_rig
 from models.camera import CameraModel
 from models.maps.landmarks import Landmark, LandmarkMap
 from models.messages import Array
@@ -26,7 +26,6 @@ EPSG = 32616
 HEIGHT_M, STEP_M, SIZE = 2000.0, 0.5, 900
 SHIFT_M = 24.0  # of the prior, on each axis
 SPREAD = Spread(2.0 / math.sqrt(3.0) * SHIFT_M, 1.0, math.radians(0.01), math.radians(0.1))  # as uniform in a square
-SIZES = (10, 3)
 _NORTH_WEST = (733601.0, 3725139.0)  # of the image
 _ROOF_SIGMA_M = 0.7  # footprint to what is seen of the roof: each house leans and was drawn by hand
 _SEARCHED_PX, _BLUR_PX = 10, 1.0
@@ -69,22 +68,6 @@ def sets(landmarks: LandmarkMap, size: int) -> list[list[Landmark]]:
     centres = np.array([m.centre_n for m in every])
     distance = np.linalg.norm(centres[:, None] - centres, axis=2)
     return [[every[j] for j in np.argsort(row)[:size]] for row in distance]
-
-
-def trials(data: Path, seed: int, priors: int) -> Iterator[Trial]:
-    """Sets of 10 and of 3 at every footprint, and the same sets turned."""
-    of = scene(data)
-    for size in SIZES:
-        for marks in sets(of.landmarks, size):
-            name = f"{size} at {marks[0].id}"
-            apart_m = misregistration(of, marks)
-            for number in range(priors):
-                rng = generator(seed, name, number)
-                known = case(of, name, marks, apart_m)
-                yield Trial(known, number, prior(known, rng))
-                centre = np.mean([m.centre_n for m in marks], axis=0)
-                decoy = replace(case(of, name, turned(marks, centre, rng), apart_m), group=f"SpaceNet, {size} turned")
-                yield Trial(decoy, number, prior(decoy, rng))
 
 
 def case(of: Scene, name: str, marks: Sequence[Landmark], apart_m: Array) -> Case:

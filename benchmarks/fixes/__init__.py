@@ -1,1 +1,0 @@
-"""Single fixes on rendered and recorded pairs: accuracy, consistency, range of convergence."""

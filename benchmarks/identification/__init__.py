@@ -1,1 +1,0 @@
-"""Look-alikes: which landmark is which, in numbers and on rendered images."""
