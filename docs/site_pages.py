@@ -21,6 +21,7 @@ _FETCHED = re.compile(r'<(?:script|img|iframe)\b[^>]* src="?(https?:[^" >]+)')
 RESULTS = ROOT / "benchmarks" / "results"
 _RESULT = re.compile(r"\]\(\.\./benchmarks/results/(\w+)\.json\)")
 _LINK = re.compile(r"(!?\[[^\]]*\])\(([^)\s]+)\)")
+_KEY = re.compile(r"(?:# )?(\w+) = *(.*?) *# (.*)")  # name, default (a key without one is a comment), what
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
 
 
@@ -70,14 +71,14 @@ def commands() -> str:
     from estimator.cli import app  # noqa: PLC0415
 
     def pages_of(words: list[str], group: Any, level: int) -> list[str]:
-        text = CliRunner().invoke(app, [*words, "--help"], env={"COLUMNS": "110", "NO_COLOR": "1", "TERM": "dumb"}).output
+        text = CliRunner().invoke(app, [*words, "--help"], env={"NO_COLOR": "1", "TERM": "dumb"}, prog_name="landfix").output
         lines = [f"{'#' * min(level, 4)} {' '.join(['landfix', *words])}", "", "```text", text.strip("\n"), "```", ""]
         for name in sorted(getattr(group, "commands", {})):
             if not group.commands[name].hidden:
                 lines += pages_of([*words, name], group.commands[name], level + 1)
         return lines
 
-    return "\n".join(pages_of([], typer.main.get_command(app), 1))
+    return "\n".join(["# Commands", "*For whoever types them.*", "", *pages_of([], typer.main.get_command(app), 2)])
 
 
 def configuration() -> str:
@@ -86,8 +87,14 @@ def configuration() -> str:
 
     from estimator.cli import app  # noqa: PLC0415
 
-    keys = CliRunner().invoke(app, ["doctor", "--config", "--all"]).stdout
-    return f"# Configuration\n*For whoever writes a configuration file.*\n\n```toml\n{keys}```\n"
+    parts = ["# Configuration\n*For whoever writes a configuration file.*"]
+    for line in CliRunner().invoke(app, ["doctor", "--config", "--all"]).stdout.splitlines():
+        if line.startswith("["):
+            parts.append(f"\n## `{line}`\n| key | default | what |\n|---|---|---|")
+        elif key := _KEY.match(line):
+            default = f"`{key[2]}`" if key[2] else ""
+            parts.append(f"| `{key[1]}` | {default} | {key[3].replace('|', chr(92) + '|')} |")
+    return "\n".join(parts) + "\n"
 
 
 def evidence(path: Path) -> str:
