@@ -58,15 +58,6 @@ def errors(collected: Collected, outages: Spans) -> Figure:
     return figure
 
 
-def horizontal_error(collected: Collected, outages: Spans) -> Figure:
-    """Horizontal error and 95 % radius, logarithmic."""
-    figure = _figure(9.0, 4.5)
-    axes = figure.add_subplot()
-    draw_horizontal_error(axes, collected, outages)
-    _legend_below(figure, axes)
-    return figure
-
-
 def overview(collected: Collected, outages: Spans) -> Figure:
     """From above, and horizontal error (or radius alone)."""
     figure = _figure(13.0, 6.0)
@@ -104,7 +95,7 @@ def draw_from_above(axes: Axes, collected: Collected, outages: Spans) -> None:
 
 
 def draw_horizontal_error(axes: Axes, collected: Collected, outages: Spans) -> None:
-    """horizontal_error on given axes."""
+    """Horizontal error and 95 % radius, logarithmic."""
     c, start = compare(collected.estimate, collected.truth), int(collected.estimate.t_ns[0])
     reported = collected.estimate if not len(c) else c.estimate
     t, few = _seconds(reported.t_ns, start), _thinned(len(reported))

@@ -12,7 +12,6 @@ from models.frames import Origin
 from models.messages import Array
 
 POSE_TYPES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PoseStamped")
-GEODETIC_TYPE = "sensor_msgs/msg/NavSatFix"
 _DOUBLES = dict(zip(POSE_TYPES, (85, 43, 7), strict=True))  # every message of these types ends with so many
 _NOT_GIVEN_RAD2 = 10.0  # an attitude variance from here on says "not given"
 _ABSURD = 1e15  # no length, speed or variance is so large: bytes that are no number of ours

@@ -95,7 +95,7 @@ def _swift(gyro: Array, force: Array, since_s: float) -> Cause:
 
 
 def off_at_rest(imu: Stream) -> Cause | None:
-    """Where the force stands still: |f| = g, and no rate across it, but for biases."""
+    """In its stillest second |f| is not g, or the rate across f is not 0: an offset beyond any bias."""
     window = _stillest(imu)
     mean, spread = window.mean(axis=0), window.std(axis=0)
     if imu.kind != IMU or len(window) < 10 or spread[:3].max() > _REST_GYRO or spread[3:].max() > _REST_ACCEL:

@@ -1,6 +1,6 @@
 """Streams for the causes: stamps, arrivals, values by topic."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple, TypeAlias
 
 import msgspec
@@ -69,7 +69,6 @@ class Stream(NamedTuple):
 
 
 Streams: TypeAlias = Mapping[str, Stream]
-OfStream: TypeAlias = Callable[[Stream], Cause | None]
 
 
 def row(message: Input) -> tuple[str, tuple[float, ...]] | None:

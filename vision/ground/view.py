@@ -39,7 +39,7 @@ class Grid:
         return position
 
     def positions(self, margin: int = 0) -> Array:
-        """Positions with a margin: (h + 2 margin, w + 2 margin, 2)."""
+        """North and east [m] of the points, `margin` more on each side: (h + 2 margin, w + 2 margin, 2)."""
         rows, columns = (self.q * (np.arange(-margin, n + margin) - 0.5 * (n - 1.0)) for n in self.shape)
         positions: Array = self.centre + (columns[:, None] * self.axes[:, 0] + rows[:, None, None] * self.axes[:, 1])
         return positions

@@ -76,7 +76,6 @@ _SEVERITY: Final = {
 _TEXT_BYTES: Final = 50
 _NOT_COUNTED: Final = 255  # satellites: there are none
 
-Stamp = Callable[[int], int | None]  # ns since boot -> ns on our clock
 Pose = tuple[Vec3 | None, Array]  # position, m (None: not to be used), and attitude (w, x, y, z)
 _NOT_GIVEN: Final = math.nan, math.nan, math.nan
 

@@ -1,6 +1,6 @@
 """Is an IMU sample usable, the stream plausible?
 
-Refused: mean specific force near one or zero, rates beyond rad/s.
+Refused: a mean specific force near 1 (unit g) or far from gravity, rates that are degrees per second.
 """
 
 import math

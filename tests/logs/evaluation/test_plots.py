@@ -17,7 +17,7 @@ from tests.logs import flight_log
 from tests.logs.flight_log import Flight
 
 Make: TypeAlias = Callable[[Collected, plots.Spans], Figure]
-FIGURES: list[Make] = [plots.from_above, plots.errors, plots.horizontal_error, plots.overview]
+FIGURES: list[Make] = [plots.from_above, plots.errors, plots.overview]
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +100,7 @@ def test_errors_are_shown_with_their_band(collected: Collected, outages: plots.S
 
 
 def test_horizontal_error_marks_what_lies_beyond_the_radius(collected: Collected, outages: plots.Spans) -> None:
-    (axes,) = plots.horizontal_error(collected, outages).axes
+    _, axes = plots.overview(collected, outages).axes
     shown = lines(axes)
     error, radius = shown["horizontal error"][1], shown["95 % radius"][1]
     assert len(shown["error beyond the radius"][0]) == np.count_nonzero(error > radius)
@@ -109,7 +109,7 @@ def test_horizontal_error_marks_what_lies_beyond_the_radius(collected: Collected
     assert axes.get_yscale() == "log"
 
 
-@pytest.mark.parametrize("make", [plots.from_above, plots.horizontal_error, plots.overview])
+@pytest.mark.parametrize("make", [plots.from_above, plots.overview])
 def test_images_need_neither_truth_nor_fixes(make: Make, collected: Collected) -> None:
     bare = replace(collected, truth=collected.truth[:0], aids=(), fixes={})
     assert drawn(make(bare, [])).std() > 3
