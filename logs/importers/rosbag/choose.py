@@ -44,9 +44,13 @@ class Choice:
 
     @property
     def offered(self) -> list[str]:
-        """Comment lines for the configuration: unused topics."""
-        unused = (row for row in self.rows if row.copied and not row.use)
-        return [f"# {row.topic}: {row.remark.removeprefix('in the log; ')}" for row in unused]
+        """Comment lines for the configuration: unused topics, with their key where one may take them."""
+        lines = []
+        for row in (row for row in self.rows if row.copied and not row.use):
+            before, _, after = row.remark.removeprefix("in the log; ").partition("[inputs] ")
+            key, _, where = after.partition(" ")
+            lines.append(f'# {key} = "{row.topic}"  # {before.rstrip(": ")}{where}' if key else f"# {row.topic}: {before}")
+        return lines
 
 
 def choose(found: Mapping[str, Survey], others: Mapping[str, str], wanted_imu: str = "") -> Choice:

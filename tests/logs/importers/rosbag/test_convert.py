@@ -201,8 +201,10 @@ def test_poses_are_kept_and_offered_but_not_used(records: list[Record], tmp_path
     bag = ros2(tmp_path / "bag", sorted([*records, *poses], key=lambda r: r.log_time_ns), StoragePlugin.MCAP)
     _, log = imported(bag, tmp_path / "a.mcap")
     assert sum(r.topic == "/vio/odometry" for r in log) == len(poses)
-    assert "# /vio/odometry: [inputs] odometry" in (tmp_path / "a.toml").read_text()
+    written = (tmp_path / "a.toml").read_text()
     assert load(tmp_path / "a.toml").inputs.odometry == ()
+    (tmp_path / "used.toml").write_text(written.replace('# odometry = "/vio', 'odometry = "/vio'))
+    assert load(tmp_path / "used.toml").inputs.odometry == ("/vio/odometry",)
 
 
 def test_a_torn_mcap_is_read_as_far_as_it_goes(records: list[Record], tmp_path: Path) -> None:
