@@ -116,7 +116,7 @@ def print_summary(summary: "ReplaySummary", out: Path) -> None:
         *((f"{topic}", _reasons(reasons)) for topic, reasons in summary.fixes.items()),
         ("modes", ", ".join(f"{mode} {s:.1f} s" for mode, s in summary.modes_s.items()) or "no estimate"),
         ("longest outage", _outage(summary)),
-        ("worst 95 % radius", "-" if summary.worst_radius95_m is None else f"{summary.worst_radius95_m:.2f} m in /landfix/health"),
+        ("worst 95 % radius", "-" if summary.worst_radius95_m is None else f"{summary.worst_radius95_m:.2f} m in health"),
         ("resets", str(summary.resets)),
         ("internal errors", str(summary.internal_errors)),
     ]
