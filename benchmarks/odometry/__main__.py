@@ -29,8 +29,8 @@ OUT = Path("out/bench_odometry")
 ROUNDS = 8  # of the measurement of time
 HEIGHTS_M = (10.0, 30.0, 60.0, 120.0)
 COLUMNS = (
-    "set", "steps", "lost", "step m", "drift %", "deg/m", "end %", "step mm", "step deg", "NEES/3 p", "NEES/3 rot",
-    "inliers", "scale",
+    "set", "steps", "lost", "step m", "length", "drift %", "deg/m", "end %", "step mm", "step deg", "NEES/3 p", "NEES/3 rot",
+    "inliers", "scale", "ms",
 )  # fmt: skip
 PUBLISHED = (  # drift %, deg/m, on, source
     ("cuVSLAM 17.0.1 stereo odometry", "0.85", "0.0023", "KITTI odometry, 11 drives", "nvidia-isaac/cuVSLAM release v17.0.1"),
@@ -43,12 +43,16 @@ PUBLISHED = (  # drift %, deg/m, on, source
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", nargs="*", metavar="TABLE", help=", ".join(TABLES))
+    parser.add_argument(
+        "--also", type=Path, nargs="+", default=[], help="folders of more KITTI pairs (poses.txt) and tracks (.npz)"
+    )
     parser.add_argument("--draw", type=Path, help="folder for drawings of tracks")
     args = parser.parse_args()
     if unknown := set(args.what) - set(TABLES):
         raise SystemExit(f"{', '.join(unknown)}: not a table; choose from {', '.join(TABLES)}")
     cv2.setNumThreads(1)
-    tables = [table for name in args.what or TABLES for table in TABLES[name]()]
+    makers = TABLES | {"recorded": lambda: recorded(tuple(args.also))}
+    tables = [table for name in args.what or TABLES for table in makers[name]()]
     report = "\n".join(table.markdown() for table in tables)
     OUT.mkdir(parents=True, exist_ok=True)
     (OUT / "report.md").write_text(report)
@@ -57,16 +61,20 @@ def main() -> None:
         draw(args.draw)
 
 
-def recorded() -> list[Table]:
-    """Real images and real tracks."""
+def recorded(also: tuple[Path, ...] = ()) -> list[Table]:
+    """Real images and real tracks, and the plain odometry on the same."""
     if not (data_folder() / "odometry").is_dir():
         return []
     handheld = sets.euroc(sets.HANDHELD, 340)
-    rows = [row(run(handheld.every(n))) for n in (2, 4, 8)]
-    rows.append(row(run(sets.euroc(sets.KEY_FRAMES), longest_s=0.8)))
-    rows += [row(run(sets.kitti06().every(n))) for n in (1, 2)]
-    for path in sorted((data_folder() / "odometry" / "kitti_raw_klt_tracks").glob("*.npz")):
-        rows.append(row(run(sets.kitti_tracks(path).every(3))))
+    cars = [data_folder() / "images" / "kitti06_0000_0050_stereo", *(p.parent for root in also for p in root.rglob("poses.txt"))]
+    drives = [data_folder() / "odometry" / "kitti_raw_klt_tracks", *also]
+    sequences = [handheld.every(n) for n in (2, 4, 8)] + [sets.euroc(sets.KEY_FRAMES)]
+    sequences += [sets.kitti_pairs(folder).every(n) for folder in cars for n in (1, 2)]
+    sequences += [sets.kitti_tracks(path).every(3) for root in drives for path in sorted(root.glob("*.npz"))]
+    rows = []
+    for sequence in sequences:
+        rows.append(row(run(sequence, longest_s=0.8)))
+        rows.append(row(run(sequence, longest_s=0.8, plain=True), "plain"))
     return [
         Table("Recorded: odometry alone (/n: each n-th frame; lost steps add no drift)", COLUMNS, rows),
         Table("Published", ("estimator", "drift %", "deg/m", "on", "source"), PUBLISHED),
@@ -148,7 +156,7 @@ def _held(left: Image, right: Image) -> Callable[[], tuple[Image, Image]]:
     return lambda: (left, right)
 
 
-TABLES = {
+TABLES: dict[str, Callable[[], list[Table]]] = {
     "recorded": recorded, "rendered": rendered, "faults": faults, "motion": motion, "speed": speed,
 }  # fmt: skip
 
@@ -156,14 +164,16 @@ TABLES = {
 def row(scored: Scored, note: str = "") -> tuple[str, ...]:
     """One line of the large tables."""
     if not len(scored.errors):
-        return (f"{scored.name} {note}", str(len(scored.steps)), str(scored.lost), *["-"] * 10)
+        return (f"{scored.name} {note}", str(len(scored.steps)), str(scored.lost), *["-"] * 12)
     good = [step for step in scored.steps if not step.reason]
-    inliers = np.median([int(step.inliers.sum()) for step in good if step.inliers is not None])
+    inliers = np.median([step.points if step.inliers is None else int(step.inliers.sum()) for step in good])
     nees = scored.nees.mean(axis=0).tolist()
     values = (
-        float(scored.lengths.mean()), *scored.drift(), 1e3 * rms(scored.errors[:, :3]),
+        float(scored.lengths.mean()), sum(float(np.linalg.norm(step.p)) for step in good) / float(scored.lengths.sum()),
+        *scored.drift(), 1e3 * rms(scored.errors[:, :3]),
         float(np.degrees(rms(scored.errors[:, 3:]))), *nees, float(inliers),
         float(np.median([step.residual_scale for step in good])),
+        float(np.median(scored.step_ms) + (np.median(scored.frame_ms[1:]) if scored.frame_ms else 0.0)),
     )  # fmt: skip
     counts = str(len(scored.steps)), str(scored.lost)
     return (f"{scored.name} {note}".strip(), *counts, *(number(v) for v in values))
@@ -180,7 +190,10 @@ def draw(folder: Path) -> None:
     sequences = [(sets.nadir(30.0, "village", exact=True), 6), (sets.nadir(30.0, "village", exact=True, moving_m_s=1.0), 10)]
     sequences += [(sets.nadir(120.0, "grass", exact=True), 6)]
     if (data_folder() / "odometry").is_dir():
-        sequences += [(sets.euroc(sets.HANDHELD, 340).every(8), 14), (sets.kitti06(), 20)]
+        sequences += [
+            (sets.euroc(sets.HANDHELD, 340).every(8), 14),
+            (sets.kitti_pairs(data_folder() / "images" / "kitti06_0000_0050_stereo"), 20),
+        ]
     for k, (sequence, at) in enumerate(sequences):
         short = sequence.frames[at : at + 2]
         cut = replace(sequence, frames=short)

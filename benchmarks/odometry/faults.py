@@ -30,12 +30,13 @@ def jumping(poses: Poses, start_ns: int, _seed: int) -> Iterable[Input]:
         yield _moved(pose, (1.2 * (pose.t_ns > start_ns + BEGINS_NS), 0.25 * (pose.t_ns > late_ns), 0.0))
 
 
-def drifting(rate_m_s: float) -> Fault:
-    """It drifts by so much from 5 s into the outage on."""
+def drifting(rate_m_s: float, longest_s: float = 3600.0) -> Fault:
+    """It drifts by so much from 5 s into the outage on; as half of a scene that moves at twice the rate draws it along."""
 
     def fault(poses: Poses, start_ns: int, _seed: int) -> Iterable[Input]:
         for pose in poses:
-            yield _moved(pose, (rate_m_s * max(pose.t_ns - start_ns - BEGINS_NS, 0) / SECOND, 0.0, 0.0))
+            seconds = np.clip((pose.t_ns - start_ns - BEGINS_NS) / SECOND, 0.0, longest_s)
+            yield _moved(pose, (rate_m_s * float(seconds), 0.0, 0.0))
 
     return fault
 
@@ -82,6 +83,11 @@ def turned(poses: Poses, _start_ns: int, _seed: int) -> Iterable[Input]:
 def late_stamps(poses: Poses, _start_ns: int, _seed: int) -> Iterable[Input]:
     """Its stamps are half a second late."""
     return (replace(pose, t_ns=pose.t_ns + SECOND // 2) for pose in poses)
+
+
+def late(poses: Poses, _start_ns: int, _seed: int) -> Iterable[Input]:
+    """It arrives 3 s late."""
+    return (replace(pose, arrived_ns=pose.t_ns + 3 * SECOND) for pose in poses)
 
 
 def slow(poses: Poses, _start_ns: int, _seed: int) -> Iterable[Input]:
@@ -132,4 +138,6 @@ FAULTS: Final[dict[str, tuple[Fault, str]]] = {
     "stamps": (late_stamps, "stamps 0.5 s late"),
     "restart": (restarted, "begins anew 5 s into the outage"),
     "slow": (slow, "1 Hz"),
+    "late": (late, "arrives 3 s late"),
+    "passing": (drifting(0.5, 4.0), "half of the scene moves at 1 m/s for 4 s, 5 s into the outage"),
 }

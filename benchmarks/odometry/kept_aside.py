@@ -5,7 +5,7 @@ python -m benchmarks.odometry.kept_aside VIO TRUTH IMU -o rows.jsonl --variants 
 
 VIO: results/ of uzh-rpg/rpg_trajectory_evaluation; TRUTH: ov_data/euroc_mav of rpng/open_vins; IMU: EuRoC_IMU, as ORB-SLAM3
 has it (AbhinandIITM/VI-SLAM, Examples/Monocular-Inertial). A fix of 0.15 m and 1 degree every half second until the outage.
-The tracker takes everything in the order of validity; what is late gives the same bits.
+The tracker takes what has arrived in the order of validity; what is late gives the same bits.
 """
 
 import argparse
@@ -167,7 +167,7 @@ def _ends(tracker: Tracker, flight: Flight, variant: str, start_s: float, start_
         row = min(int(np.searchsorted(flight.truth_ns, end_ns)), len(flight.truth) - 1)
         if abs(int(flight.truth_ns[row]) - end_ns) > NEAR_NS:
             return
-        while k < len(aids) and aids[k].t_ns <= end_ns:
+        while k < len(aids) and aids[k].arrived_ns <= end_ns:
             if (reason := _take(tracker, aids[k], flight.samples)) is not Reason.THINNED:
                 reasons[str(reason)] += 1
             k += 1

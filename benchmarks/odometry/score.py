@@ -2,10 +2,11 @@
 
 import time
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks.odometry.plain import PlainOdometry
 from benchmarks.odometry.sets import Pose, Sequence
 from models import so3
 from models.messages import Array
@@ -66,9 +67,10 @@ def run(
     height_sigma: float | None = None,
     one_camera: bool = False,
     longest_s: float = 10.0,
+    plain: bool = False,
 ) -> Scored:
-    """height_sigma: relative, of a height that is given (drawn); longest_s: steps that take longer are left out."""
-    odometry = StereoOdometry(sequence.rig, settings)
+    """height_sigma: relative, of a height that is given (drawn); longest_s: of a step; plain: OpenCV alone."""
+    odometry: Any = PlainOdometry(sequence.rig) if plain else StereoOdometry(sequence.rig, settings)
     rng = np.random.default_rng(11)
     truth = [f.pose for f in sequence.frames]
     path, errors, lengths, nees, steps, reasons = [truth[0]], [], [], [], [], []
@@ -110,6 +112,8 @@ def run(
                 errors.append(np.r_[e, turn])
                 lengths.append(np.linalg.norm(true.p))
                 total = step.covariance + step.systematic @ step.systematic.T
+                constant, share = sequence.truth_sigma
+                total[:3, :3] += (constant**2 + (share * lengths[-1]) ** 2) * np.eye(3)
                 nees.append([x @ np.linalg.solve(total[s, s], x) / 3 for x, s in ((e, slice(0, 3)), (turn, slice(3, 6)))])
                 path.append(_chained(path[-1], Pose(step.p, so3.matrix(step.q))))
         previous = current

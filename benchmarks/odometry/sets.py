@@ -40,7 +40,10 @@ class Frame(NamedTuple):
 
 @dataclass(frozen=True)
 class Sequence:
-    """rig: as calibrated. tracks: of two frames, where there are no images. down: of the world; height_m: None where unknown."""
+    """rig: as calibrated. tracks: of two frames, where there are no images. down: of the world.
+
+    truth_sigma: error of a true step, m and share of its length.
+    """
 
     name: str
     rig: StereoRig
@@ -48,6 +51,7 @@ class Sequence:
     lengths_m: tuple[float, ...]
     tracks: Callable[[int, int], Tracks] | None = None
     down: Array | None = None
+    truth_sigma: tuple[float, float] = (0.0, 0.0)
 
     def every(self, n: int) -> "Sequence":
         """Each n-th frame."""
@@ -64,26 +68,31 @@ def euroc(name: str, pairs: int | None = None) -> Sequence:
         truth = np.loadtxt(file, delimiter=",", skiprows=1)
     rows = np.loadtxt(folder / "frames.csv", delimiter=",", skiprows=1)[:pairs]
     frames = [Frame(t, pose_at(truth, t), _reader(folder, f"{int(k):04d}.jpg")) for k, t in rows.tolist()]
-    return Sequence(name.split("_stereo", maxsplit=1)[0], rig, frames, (1.0, 2.0, 4.0))
+    return Sequence(name.split("_stereo", maxsplit=1)[0], rig, frames, (1.0, 2.0, 4.0), None, None, (0.001, 0.0))
 
 
-def kitti06() -> Sequence:
-    """Rectified pairs of a car, 10 Hz; body = left camera."""
-    folder = data_folder() / "images" / "kitti06_0000_0050_stereo"
-    f, cx, cy, fb = 707.0912, 601.8873, 183.1104, 379.8145
-    camera = CameraModel(1226, 370, f, f, cx, cy)
-    rig = StereoRig(camera, camera, np.eye(3), np.array([-fb / f, 0.0, 0.0]), np.eye(3), np.zeros(3))
+def kitti_pairs(folder: Path) -> Sequence:
+    """Rectified pairs of a car, 10 Hz; body = left camera. calib.txt: P of both cameras (3, 4), poses.txt: (3, 4) a row."""
+    left, right = np.loadtxt(folder / "calib.txt").reshape(2, 3, 4)
+    sides = ("left", "right") if (folder / "left").is_dir() else ("image_l", "image_r")
+    names = sorted(path.name for path in (folder / sides[0]).iterdir())
+    read = [_reader(folder, name, sides) for name in names]
+    height, width = read[0]()[0].shape
+    camera = CameraModel(width, height, left[0, 0], left[1, 1], left[0, 2], left[1, 2])
+    rig = StereoRig(camera, camera, np.eye(3), np.array([right[0, 3] / right[0, 0], 0.0, 0.0]), np.eye(3), np.zeros(3))
     poses = np.loadtxt(folder / "poses.txt").reshape(-1, 3, 4)
-    names = sorted(path.name for path in (folder / "left").iterdir())
     frames = [
-        Frame(0.1 * k, Pose(T[:, 3], _orthonormal(T[:, :3])), _reader(folder, name))
-        for k, (T, name) in enumerate(zip(poses, names, strict=True))
+        Frame(0.1 * k, Pose(T[:, 3], _orthonormal(T[:, :3])), images)
+        for k, (T, images) in enumerate(zip(poses, read, strict=True))
     ]
-    return Sequence("kitti06", rig, frames, (20.0, 40.0))
+    return Sequence(folder.name.removesuffix("_stereo"), rig, frames, (20.0, 40.0), None, None, (0.005, 0.005))
 
 
 def kitti_tracks(path: Path) -> Sequence:
-    """Tracks of a drive, rounded to 0.1 px; body = vehicle (x forward, y left, z up)."""
+    """Tracks of a drive, rounded to 0.1 px; body = vehicle (x forward, y left, z up).
+
+    Truth: 2 cm of a position, its stamps in steps of 10 ms, axes to 0.5 degrees.
+    """
     data = np.load(path)
     f, fv, cx, cy, b = (float(data[k]) for k in ("fu", "fv", "cu", "cv", "b"))
     assert abs(f - fv) < 1e-6
@@ -94,14 +103,15 @@ def kitti_tracks(path: Path) -> Sequence:
     for k, t in enumerate((data["t"] - data["t"][0]).tolist()):
         R = so3.matrix(so3.quat_exp(np.ascontiguousarray(data["theta"][k])))
         frames.append(Frame(t, Pose(data["r"][k], R), _no_images, k))
-    px, frame, track = data["uL_vL_uR_vR"].astype(np.float64), data["frame"], data["track"]
+    later = ~np.isin(data["track"], data["track"][data["frame"] == 0])  # the disparities of those double after it
+    px, frame, track = data["uL_vL_uR_vR"][later].astype(np.float64), data["frame"][later], data["track"][later]
 
     def tracks(i: int, j: int) -> Tracks:
         first, second = (np.flatnonzero((frame == k) & np.isfinite(px).all(axis=1) & (px[:, 0] > px[:, 2])) for k in (i, j))
         _, a, b = np.intersect1d(track[first], track[second], return_indices=True)
         return Tracks(px[first[a]][:, :3], px[second[b]][:, :3])
 
-    return Sequence(f"kitti {path.stem[-15:]}", rig, frames, (100.0,), tracks)
+    return Sequence(f"kitti {path.stem[-15:]}", rig, frames, (100.0,), tracks, None, (0.03, 0.01))
 
 
 def nadir(height_m: float, kind: str, *, exact: bool, moving_m_s: float = 0.0, size: tuple[int, int] = (640, 480)) -> Sequence:
@@ -163,9 +173,9 @@ def _halves(
     return images
 
 
-def _reader(folder: Path, name: str) -> Callable[[], tuple[Image, Image]]:
+def _reader(folder: Path, name: str, sides: tuple[str, str] = ("left", "right")) -> Callable[[], tuple[Image, Image]]:
     def images() -> tuple[Image, Image]:
-        left, right = (cv2.imread(str(folder / side / name), cv2.IMREAD_GRAYSCALE) for side in ("left", "right"))
+        left, right = (cv2.imread(str(folder / side / name), cv2.IMREAD_GRAYSCALE) for side in sides)
         assert left is not None
         assert right is not None
         return left, right

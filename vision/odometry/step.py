@@ -48,7 +48,7 @@ class OdometrySettings:
     relief_m: float = 1.5
     roughness_m: float = 0.7
     slope_deg: float = 3.0
-    disparity_sigma_px: float = 0.1
+    disparity_sigma_px: float = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,10 +129,7 @@ class StereoOdometry:
             return Step(f"too few corners: {len(raw)} (blur, darkness or no texture)")
         if plane is None and (first.right is None or self._raw.one_camera):
             return Step("one camera, and the height above the ground is not known")
-        tracks = self._tracks(first, second, raw, prediction, plane)
-        if len(tracks.y0) < _LEAST_POINTS:
-            return Step(f"too few tracks: {len(tracks.y0)} of {len(raw)} corners", points=len(tracks.y0), tracks=tracks)
-        return self.motion_of(tracks, prediction)
+        return self.motion_of(self._tracks(first, second, raw, prediction, plane), prediction)
 
     def _plane(self, prediction: Prediction) -> Plane | None:
         if prediction.down_b is None:
@@ -191,16 +188,20 @@ class StereoOdometry:
         """The checked motion of tracks."""
         plane = self._plane(prediction)
         n = len(tracks.y0)
+        if n < _LEAST_POINTS:
+            return Step(f"too few tracks: {n} points are in both pairs", points=n, tracks=tracks)
         everything = chosen = np.ones(n, np.bool_)
         solution, inliers, lost = self._checked(tracks, everything, prediction, plane)
-        doubtful = solution.scale > _DOUBTFUL_SCALE or _distance(solution, prediction) > _DOUBTFUL_CHI2
-        if lost or doubtful:  # several motions may have been mixed: begin with the points that fit the prediction
+        far = _distance(solution, prediction)
+        if (
+            lost or solution.scale > _DOUBTFUL_SCALE or far > _DOUBTFUL_CHI2
+        ):  # several motions may have been mixed: begin with the points that fit the prediction
             near = self._solve(tracks, everything, prediction, plane, np.asarray(np.linalg.inv(_GUIDE * prediction.covariance)))
             if near.converged and (fitting := near.distances <= _INLIER).sum() >= _LEAST_INLIERS:
                 chosen = fitting
                 solution, inliers, lost = self._checked(tracks, chosen, prediction, plane)
             else:
-                lost = lost or f"residuals {solution.scale:.1f} times as large as expected"
+                lost = lost or f"{_large(solution)}, {np.sqrt(far):.0f} sigma from the prediction, which too few points fit"
         if lost:
             return Step(lost, points=n, residual_scale=solution.scale, tracks=tracks, inliers=inliers)
         reason, remark = self._second_motion(tracks, inliers, solution, prediction, plane)
@@ -243,7 +244,7 @@ class StereoOdometry:
         if not solution.converged:
             return f"no convergence with {n} points"
         if solution.scale > _MOST_SCALE:
-            return f"residuals {solution.scale:.1f} times as large as expected"
+            return _large(solution)
         if good < _LEAST_INLIERS or good < _LEAST_SHARE * n:
             return f"too few inliers: {good} of {n} points"
         return ""
@@ -273,6 +274,10 @@ def _shared(px: Array, residuals: Array) -> float:
     nearest = np.argpartition(apart, _NEIGHBOURS, axis=1)[:, :_NEIGHBOURS]
     power = float((residuals**2).sum())
     return float((residuals[:, None] * residuals[nearest]).sum()) / (_NEIGHBOURS * power) if power > 0.0 else 0.0
+
+
+def _large(solution: Solution) -> str:
+    return f"residuals {solution.scale:.1f} times as large as expected"
 
 
 def _turn_flaw(solution: Solution, prediction: Prediction) -> str:

@@ -8,7 +8,7 @@ from models import so3
 from models.camera import StereoRig
 from tests.vision.odometry.scene import HEIGHT_M, P_N, RIG, pair, prediction, truth
 from vision.image.rectify import Image
-from vision.odometry.step import Frame, Step, StereoOdometry
+from vision.odometry.step import Frame, Step, StereoOdometry, Tracks
 
 ODOMETRY = StereoOdometry(RIG)
 
@@ -80,6 +80,21 @@ def test_a_height_holds_the_scale_where_disparities_are_off() -> None:
     assert np.linalg.norm(with_height.systematic[:3]) < 0.9 * np.linalg.norm(without.systematic[:3])
     assert chi2(without) < 22.5
     assert chi2(with_height) < 22.5
+
+
+def test_a_rig_without_covariances_is_not_exact() -> None:
+    """The same of a rig file that says nothing."""
+    turned = so3.matrix(so3.quat_exp(np.array([0.0, np.radians(0.05), 0.0]))) @ RIG.R_rc
+    off = StereoOdometry(StereoRig(RIG.left, RIG.right, turned, turned @ RIG.R_rc.T @ RIG.t_rc, RIG.R_bc, RIG.p_bc))
+    first, second = (off.frame(*pair(k)) for k in (0, 1))
+    assert isinstance(first, Frame)
+    assert isinstance(second, Frame)
+    assert chi2(off.step(first, second, prediction())) < 7.8
+
+
+def test_no_points() -> None:
+    none = np.empty((0, 3))
+    assert ODOMETRY.motion_of(Tracks(none, none), prediction()).reason == "too few tracks: 0 points are in both pairs"
 
 
 def test_contrast_of_a_tenth() -> None:

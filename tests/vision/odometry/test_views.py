@@ -10,7 +10,7 @@ from models.camera import CameraModel, StereoRig
 from tests.vision.odometry.scene import RIG, pair, prediction, truth
 from vision.image.rectify import rectification, rectify
 from vision.odometry.corners import corners
-from vision.odometry.step import StereoOdometry
+from vision.odometry.step import OdometrySettings, StereoOdometry
 from vision.odometry.views import grey, lenses, reduced, scaled_px
 
 LENS = (-0.28, 0.07, 2e-4, 2e-5)
@@ -79,7 +79,7 @@ def test_a_distorted_rig_gives_the_motion() -> None:
     k = (-0.2, 0.04, 1e-4, 0.0)
     cameras = [msgspec.structs.replace(c, distortion=k) for c in (RIG.left, RIG.right)]
     rig = StereoRig(cameras[0], cameras[1], RIG.R_rc, RIG.t_rc, RIG.R_bc, RIG.p_bc)
-    odometry = StereoOdometry(rig)
+    odometry = StereoOdometry(rig, OdometrySettings(disparity_sigma_px=0.1))
     frames = []
     for at in (0, 1):
         images = []
