@@ -110,7 +110,7 @@ def _other_values(data: bytes, rng: np.random.Generator) -> bytes:
         if not keys:
             continue
         key = keys[int(rng.integers(len(keys)))]
-        value = _VALUES[int(rng.integers(len(_VALUES)))] if rng.random() < 0.8 else json.loads(json.dumps(other))
+        value = json.loads(json.dumps(_VALUES[int(rng.integers(len(_VALUES)))] if rng.random() < 0.8 else other))
         if rng.random() < 0.2:
             del part[key]  # type: ignore[arg-type]
         else:
