@@ -69,13 +69,12 @@ def printable(text: str) -> str:
 
 def one_line(error: Exception) -> str:
     """One line; errors not ours or the system's are defects."""
+    from estimator.tools.doctor import packages  # noqa: PLC0415  (when something is wrong)
+
+    if reason := packages.explain(error):
+        return " ".join(reason.split())
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-    if isinstance(error, ImportError):
-        from estimator.tools.doctor import packages  # noqa: PLC0415  (when something is missing)
-
-        if reason := packages.explain(error):
-            return reason
     text = " ".join(str(error).split())
     if type(error).__module__.partition(".")[0] in _OURS:
         return text

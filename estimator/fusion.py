@@ -22,6 +22,7 @@ from estimator.sources.air.drag import EVERY_NS as DRAG_EVERY_NS
 from estimator.sources.air.drag import drag_aid
 from estimator.sources.air.wind import WIND
 from estimator.sources.base.aid import Aid, Refusal
+from estimator.sources.base.covariance import covariance_refusal
 from estimator.sources.base.held import HeldImu
 from estimator.sources.imu.choice import Choice, imu_aid
 from estimator.sources.imu.plausibility import sample_refusal
@@ -45,6 +46,7 @@ from models.messages import (
     Tick,
     Unusable,
     Vec3,
+    on_earth,
     vec3,
 )
 from models.state import E, X
@@ -54,6 +56,8 @@ _FAILURES = 2  # in a row, after which the estimator restarts itself
 _FUTURE_NS: Final = 1_000_000_000  # by which a stamp may run ahead of its stream's clock
 # Of a checkpoint: position [m], half way round the Earth, velocity [m/s], quaternion, biases [rad/s, m/s^2]
 _MOST: Final = np.repeat([2e7, 2e3, 1.1, 10.0, 100.0], [3, 3, 4, 3, 3])
+_UNIT: Final = 1e-6  # by which |q|^2 may differ from 1
+_OLDEST_S: Final = 1e9  # age of the last GNSS
 _RESET_SIGMA: Final = 5.0  # a larger jump is reported as a reset
 _RADIUS95 = 2.4477468  # sqrt of the 95 % point of chi-square with 2 degrees of freedom
 
@@ -293,8 +297,10 @@ class Fusion:
             refusal = Refusal(Reason.MALFORMED, "a state of 16 numbers, its covariance of 15 x 15 and the last GNSS are expected")
         elif not state.sound(checkpoint.nav, checkpoint.covariance):
             refusal = Refusal(Reason.NOT_FINITE)
-        elif not (np.abs(checkpoint.nav) <= _MOST).all():
-            refusal = Refusal(Reason.IMPLAUSIBLE, "a position, velocity or bias that no vehicle and no IMU has")
+        elif not _is_plausible(checkpoint):
+            refusal = Refusal(Reason.IMPLAUSIBLE, "a place, velocity, attitude or bias that no vehicle and no IMU has")
+        elif flawed := covariance_refusal(checkpoint.covariance):
+            refusal = flawed
         elif self._config.origin not in {None, checkpoint.origin}:
             refusal = Refusal(Reason.NO_ORIGIN, "the map had another origin")
         if refusal is not None:
@@ -493,6 +499,17 @@ def _is_whole(checkpoint: Checkpoint) -> bool:
     fits = all(isinstance(a, np.ndarray) and a.shape == shape and a.dtype == np.float64 for a, shape in arrays)
     last_gnss: object = checkpoint.last_gnss
     return fits and isinstance(last_gnss, LastGnss | None)
+
+
+def _is_plausible(checkpoint: Checkpoint) -> bool:
+    last, q = checkpoint.last_gnss, checkpoint.nav[X.Q]
+    places = ([] if last is None else [(last.lat_deg, last.lon_deg, last.alt_m)]) + [checkpoint.origin or (0.0, 0.0, 0.0)]
+    return (
+        bool((np.abs(checkpoint.nav) <= _MOST).all())
+        and abs(float(q @ q) - 1.0) < _UNIT
+        and all(on_earth(*place) for place in places)
+        and (last is None or (0.0 <= last.age_s < _OLDEST_S and 0.0 <= last.sigma_m < math.inf))
+    )
 
 
 def _biases(x: Array, cov: Array) -> dict[str, float]:

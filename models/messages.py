@@ -60,8 +60,8 @@ class GnssFix(msgspec.Struct, frozen=True, eq=False):
 
     @property
     def is_on_earth(self) -> bool:
-        """Whether latitude and longitude [deg] and height [m] can be those of a vehicle."""
-        return abs(self.lat_deg) <= 90.0 and abs(self.lon_deg) <= 180.0 and abs(self.alt_m) <= _HIGHEST_M
+        """As on_earth."""
+        return on_earth(self.lat_deg, self.lon_deg, self.alt_m)
 
 
 class GnssVelocity(msgspec.Struct, frozen=True, eq=False):
@@ -432,6 +432,11 @@ class Integrity(msgspec.Struct, frozen=True, eq=False):
 
 
 Output: TypeAlias = Estimate | AidStatus | Health | Integrity | Reset | VisionReport | VisionRequest | OdometryRequest
+
+
+def on_earth(lat_deg: float, lon_deg: float, alt_m: float) -> bool:
+    """Whether latitude and longitude [deg] and height [m] can be those of a vehicle."""
+    return abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0 and abs(alt_m) <= _HIGHEST_M
 
 
 def vec3(v: Any) -> Vec3:

@@ -1,4 +1,5 @@
 import json
+import os
 import re
 import signal
 import subprocess
@@ -212,6 +213,34 @@ def test_a_defect_of_ours_is_one_line_too_and_debug_shows_it(
     assert result.stderr == "landfix: internal error, please report it: KeyError: 'oops' (LANDFIX_DEBUG=1 shows where)\n"
     monkeypatch.setenv("LANDFIX_DEBUG", "1")
     assert isinstance(run("replay", flight, "-o", tmp_path / "out.mcap").exception, KeyError)
+
+
+BEGINS = """
+from estimator.cli import one_line
+try:
+    import numpy as np
+    from models.so3 import normalise
+    normalise(np.ones(4))
+except Exception as error:
+    print(one_line(error))
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "remedy"),
+    [
+        ("NUMBA_NUM_THREADS", "0", "Number of threads specified must be > 0.: unset or correct NUMBA_NUM_THREADS=0"),
+        ("NUMBA_CACHE_DIR", "cache", "free its disk, or set NUMBA_CACHE_DIR to a folder that can be written"),
+    ],
+)
+def test_an_environment_in_which_nothing_can_run_is_one_line_with_its_remedy(
+    name: str, value: str, remedy: str, tmp_path: Path
+) -> None:
+    done = subprocess.run(
+        ["prlimit", "--fsize=100", sys.executable, "-c", BEGINS],
+        capture_output=True, text=True, check=True, cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT), name: value},
+    )  # fmt: skip
+    assert done.stdout.endswith(f"{remedy}\n")
 
 
 def test_the_program_as_a_person_starts_it(tmp_path: Path) -> None:

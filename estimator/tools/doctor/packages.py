@@ -1,6 +1,8 @@
-"""Packages that hide ours, or are missing; standard library only."""
+"""Packages that hide ours, are missing, or cannot begin; standard library only."""
 
 import importlib.util
+import os
+import traceback
 from importlib import metadata
 from pathlib import Path
 from typing import Final
@@ -11,6 +13,7 @@ EXTRA_OF: Final = {
     "pyproj": "geo", "foxglove": "live", "dask": "fleet", "distributed": "fleet", "fsspec": "fleet",
     "duckdb": "fleet",
 }  # fmt: skip
+_VARIABLES: Final = {"matplotlib": "MPL"}  # beginning of the names of a package's variables, if it is another than its own
 _CAMERAS: Final = "this needs OpenCV, which an installation without cameras leaves out: pip install opencv-python-headless"
 
 
@@ -35,11 +38,22 @@ def clashes() -> list[str]:
     return found
 
 
-def explain(error: ImportError) -> str | None:
-    """Cause and remedy of a failed import, one line; None if neither clash nor extra."""
-    top = (error.name or "").partition(".")[0]
+def explain(error: Exception) -> str | None:
+    """Cause and remedy of what packages or the environment did to a command, one line; None if neither did."""
+    top = (getattr(error, "name", None) or "").partition(".")[0] if isinstance(error, ImportError) else ""
     if top in NAMES and (found := clashes()):
         return f"{found[0]}: rename or uninstall it, or take it off PYTHONPATH; best is an environment of its own (uv tool, venv)"
     if top in EXTRA_OF:
         return f"this needs {top}, which is not installed: pip install 'landfix[{EXTRA_OF[top]}]'"
-    return _CAMERAS if top == "cv2" else None
+    if top == "cv2":
+        return _CAMERAS
+    frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
+    modules = [str(frame.f_globals.get("__name__", "")).partition(".")[0] for frame in frames]
+    if any(frame.f_globals.get("__name__") == "numba.core.caching" for frame in frames):
+        return f"compiled code cannot be kept: {error}: free its disk, or set NUMBA_CACHE_DIR to a folder that can be written"
+    begins = 1 + max((k for k, name in enumerate(modules) if name in NAMES), default=len(modules))
+    if begins >= len(frames) or frames[begins].f_code.co_name != "<module>":
+        return None
+    name = modules[begins]
+    given = [f"{key}={value}" for key, value in os.environ.items() if key.startswith(_VARIABLES.get(name, name.upper()))]
+    return f"{name} cannot begin: {error}" + (f": unset or correct {', '.join(sorted(given))}" if given else "")
