@@ -14,6 +14,7 @@ _MOVING_M_S: Final = 1.0
 _MOVED_M: Final = 5.0  # while it was held
 _TURNED_RAD: Final = 0.2  # likewise
 _SWAY_S, _SWAYING_RAD_S = 0.25, 0.1
+_STANDING_S, _STANDING_M = 10.0, 20.0
 _REGULAR: Final = 0.7  # of the runs
 _AGAIN: Final = 0.4  # of all messages
 _EVIDENCE: Final = (IMU, FIX, VELOCITY, POSE)  # of which copies count
@@ -44,6 +45,21 @@ def held(stream: Stream, imu: Stream | None) -> Cause | None:
         return None
     what = f"it repeats one reading for {long_s[k]:.1f} s under new stamps"
     return Cause(what, float(stream.arrived_s[first]), "its sender holds the last value: let it be silent then")
+
+
+def standing(fix: Stream, imu: Stream | None) -> Cause | None:
+    """Latitude or longitude repeats to the bit for > 10 s while the other moves, or both while the vehicle sways."""
+    east = _EARTH_M * np.cos(np.radians(fix.values[0, 0]))
+    still = np.diff(fix.values[:, :2], axis=0) == 0.0
+    for names, same in (("latitude and longitude", still.all(axis=1)), ("latitudes", still[:, 0]), ("longitudes", still[:, 1])):
+        for first, last in runs(same).tolist():
+            long_s = float(fix.arrived_s[last] - fix.arrived_s[first])
+            way_m = float((np.ptp(fix.values[first : last + 1, :2], axis=0) * [_EARTH_M, east]).max())
+            moves = way_m > _STANDING_M or (way_m == 0.0 and imu is not None and _sways(fix, imu, first, last))
+            if long_s > _STANDING_S and moves:
+                what = f"its {names} stay to the last digit for {long_s:.1f} s, while the vehicle moves"
+                return Cause(what, float(fix.arrived_s[first]), "see its columns; write degrees with 8 digits behind the point")
+    return None
 
 
 def again(stream: Stream) -> Cause | None:

@@ -16,6 +16,8 @@ _LIVELY: Final = 0.5  # of the samples differ from the one before
 _NOISE: Final = -0.2  # lag-1 correlation of differences: -0.5 is white noise, a smooth signal has more than 0
 _STILL_WINDOW_S: Final = 1.0
 _GRAVITY_BAND: Final = (6.0, 16.0)  # m/s^2, mean over the stillest second: of a lively flight as well
+_MIXED_M_S2: Final = 2.0
+_SWIFTEST_M_S: Final = 150.0  # of a vehicle that turns for long
 _REST_GYRO, _REST_ACCEL = 0.02, 0.15  # rad/s, m/s^2: standard deviations of a second at rest
 _OFF_GYRO, _OFF_ACCEL = 0.15, 0.9  # rad/s, m/s^2: more than biases of small sensors
 _UPRIGHT: Final = 0.15  # m/s^2: in a banked turn |f| differs more from g
@@ -59,6 +61,17 @@ def halves(imu: Stream) -> Cause | None:
     return Cause(what, float(imu.arrived_s[0]), "put rate and force of one moment into one message")
 
 
+def mixed(imu: Stream) -> Cause | None:
+    """Two sensors take turns: the mean forces of even and of odd samples differ, which no vibration does for long."""
+    if imu.kind != IMU:
+        return None
+    apart = float(np.linalg.norm(imu.values[::2, 3:].mean(axis=0) - imu.values[1::2, 3:].mean(axis=0)))
+    if apart < _MIXED_M_S2:
+        return None
+    what = f"its samples alternate between two sensors, whose forces differ by {apart:.1f} m/s^2"
+    return Cause(what, float(imu.arrived_s[0]), "give each sensor a topic of its own")
+
+
 def units(imu: Stream) -> Cause | None:
     """|f| over the stillest second is not gravity, or rates exceed any vehicle's."""
     if imu.kind != IMU:
@@ -95,7 +108,10 @@ def _swift(gyro: Array, force: Array, since_s: float) -> Cause:
 
 
 def off_at_rest(imu: Stream) -> Cause | None:
-    """In its stillest second |f| is not g, or the rate across f is not 0: an offset beyond any bias."""
+    """In its stillest second |f| is not g, or the rate across f is not 0: an offset beyond any bias.
+
+    A coordinated turn at v stands still, too: |f|^2 = g^2 + (v omega)^2.
+    """
     window = _stillest(imu)
     mean, spread = window.mean(axis=0), window.std(axis=0)
     if imu.kind != IMU or len(window) < 10 or spread[:3].max() > _REST_GYRO or spread[3:].max() > _REST_ACCEL:
@@ -106,7 +122,8 @@ def off_at_rest(imu: Stream) -> Cause | None:
     if across > _OFF_GYRO and abs(length - GRAVITY) < _UPRIGHT:
         what = f"the gyroscope reads {across:.2f} rad/s in a second in which gravity does not turn"
         return Cause(what, since_s, "it has an offset: calibrate it at rest, or mend its driver")
-    if abs(length - GRAVITY) > _OFF_ACCEL and np.linalg.norm(rate) < 0.5 * _OFF_GYRO:
+    turn = float(np.sqrt(length**2 - GRAVITY**2)) / _SWIFTEST_M_S if length > GRAVITY else np.inf
+    if abs(length - GRAVITY) > _OFF_ACCEL and np.linalg.norm(rate) < min(0.5 * _OFF_GYRO, turn):
         what = f"the accelerometer reads {length:.2f} m/s^2 at rest: its scale or offset is wrong"
         return Cause(what, since_s, f"calibrate it: at rest it reads {GRAVITY:.2f}")
     return None

@@ -65,7 +65,7 @@ def _values(streams: Streams, origin: Vec3 | None) -> Iterator[tuple[str, str, C
         if s.kind == IMU:
             found = (
                 inertial.slow(s) or inertial.halves(s) or held.copies(s) or held.held(s, None) or inertial.frozen_axis(s)
-                or inertial.units(s) or inertial.tilted(s) or inertial.spikes(s) or inertial.clipped(s)
+                or inertial.mixed(s) or inertial.units(s) or inertial.tilted(s) or inertial.spikes(s) or inertial.clipped(s)
                 or clocks.silence(s, others) or clocks.lost(s) or numbers.rounded(s) or inertial.off_at_rest(s)
                 or scatter.scattered(s)
             )  # fmt: skip
@@ -73,7 +73,10 @@ def _values(streams: Streams, origin: Vec3 | None) -> Iterator[tuple[str, str, C
         else:
             found = held.zero(s) or (held.held(s, imu) or held.copies(s) if s.kind != ATTITUDE else None)
         if s.kind == FIX and not found:
-            found = position.far(s, origin) or position.accuracy(s) or numbers.rounded(s) or scatter.scattered(s) or jumps.jump(s)
+            found = (
+                position.far(s, origin) or position.accuracy(s) or numbers.rounded(s) or held.standing(s, imu)
+                or scatter.scattered(s) or jumps.jump(s)
+            )  # fmt: skip
         if s.kind in TURNING and not found:
             found = numbers.no_quaternions(s) or (jumps.jump(s) if s.kind in (POSE, ODOMETRY) else None)
         if s.kind == _BARO and not found:

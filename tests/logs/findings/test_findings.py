@@ -211,6 +211,18 @@ def _inverse(s: Stream, _: np.random.Generator) -> tuple[Stream, str]:
     return s._replace(values=s.values * [1.0, 1.0, 1.0, 1.0, -1.0, -1.0, -1.0]), "inverse"
 
 
+def _stays(columns: list[int], words: str) -> Fault:
+    return lambda s, _: (
+        s._replace(values=np.where(np.isin(np.arange(s.values.shape[1]), columns), s.values[0], s.values)),
+        words,
+    )
+
+
+def _two_sensors(s: Stream, _: np.random.Generator) -> tuple[Stream, str]:
+    other = np.where(np.arange(len(s.t_s)) % 2, 1.0, -1.0)[:, None] ** [0, 1, 1, 0, 1, 1]
+    return s._replace(values=s.values * other), "alternate between two sensors"
+
+
 ONE, DEG = [1.0] * 3, 57.29578
 FAULTS = [
     *(("/imu", f) for f in (_step, _speed, _wrap, _nanoseconds, _ahead, _batched, _digits, _dead, _stuck, _silent)),
@@ -222,6 +234,9 @@ FAULTS = [
     *((topic, _twice) for topic in ("/imu", "/gnss", "/gnss/velocity")),
     *(("/imu", f) for f in (_jitter, _lost, _offset)),
     *(("/gnss", f) for f in (_moved, _outliers, _runs_away)),
+    ("/gnss", _stays([0, 1], "latitude and longitude stay")),
+    ("/gnss", _stays([1], "its longitudes stay")),
+    ("/imu", _two_sensors),
     *((topic, _inverse) for topic in ("/pose_fix", "/odometry")),
     ("/pose_fix", _moved),
     ("/pose_fix", _of_columns([0, 1, 2, 4, 5, 6, 3], "x, y, z, w")),
@@ -400,6 +415,7 @@ def test_a_gyroscope_or_an_accelerometer_that_is_off_at_rest_is_named() -> None:
     for offset, words in (
         ([0.2, 0, 0, 0, 0, 0], "gravity does not turn"),
         ([0, 0, 0, 0, 0, -1.0], "10.81 m/s^2 at rest"),
+        ([0, 0.033, 0.058, 0, 0, -1.52], ""),  # banked by 30 degrees at 85 m/s
         ([0] * 6, ""),
     ):
         found = [f for _, f in judged({"/imu": Stream(IMU, t, t + 0.01, values + offset)}, ORIGIN)]
