@@ -1,6 +1,6 @@
 """Readings that scatter from one to the next by more than their sensor does.
 
-off_k = |x_k - (x_k-1 + x_k+1) / 2|,   most of 4 s
+off_k = |x_k - (x_k-1 + x_k+1) / 2|,   most of 4 s;   of a motion a dt^2 / 2
 """
 
 from typing import Final
@@ -17,6 +17,7 @@ _WINDOW_S: Final = 4.0
 _SHARE: Final = 0.6
 _SIGMAS: Final = 8.0  # times the reported accuracy of a receiver
 _FIX_M: Final = 3.0
+_SWERVE_M_S2: Final = 5.0  # acceleration of a lively vehicle
 _MOST: Final = {  # kind: columns, most, most a second between readings, what it is, unit, remedy
     VELOCITY: (slice(0, 2), 2.0, 4.0, "velocities", "m/s", "see the receiver, or give its covariance"),
     "baro": (slice(0, 1), 60.0, 0.0, "pressure", "Pa", "see its hose and port, its cable and its driver"),
@@ -47,7 +48,8 @@ def _positions(stream: Stream) -> Cause | None:
     if len(t) < _LEAST or not sigma.any():
         return None
     off = _off(p)
-    wide = (off > np.maximum(_SIGMAS * sigma[1:-1], _FIX_M)) & (sigma[1:-1] > 0.0) & _even(t)
+    swerve = 0.5 * _SWERVE_M_S2 * np.diff(t)[1:] ** 2
+    wide = (off > np.maximum(_SIGMAS * sigma[1:-1], _FIX_M) + swerve) & (sigma[1:-1] > 0.0) & _even(t)
     if (rows := _window(t, wide)) is None:
         return None
     what = f"its positions scatter by {float(np.median(off[rows])):.1f} m while it reports {float(np.median(sigma)):.2g} m"

@@ -340,6 +340,11 @@ def test_an_axis_without_noise_that_reads_0_from_the_start_is_not_accused(axis: 
     assert _found({"/imu": streams["/imu"]._replace(values=smooth), "/gnss": streams["/gnss"]}) == []
 
 
+def test_a_receiver_that_speaks_every_five_seconds_is_not_called_jammed() -> None:
+    t = np.arange(0.0, 200.0, 5.0)
+    assert not _found({"/gnss": Stream(FIX, t, t + 0.02, _values(FIX, t, np.random.default_rng(0), 0.35))})
+
+
 def test_a_log_recorded_at_half_speed_accuses_nobody() -> None:
     slow = {name: s._replace(arrived_s=2.0 * s.arrived_s) for name, s in _sound(0).items()}
     assert [f for f in _found(slow) if "stamps" in f.what] == []
