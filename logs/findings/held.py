@@ -62,6 +62,17 @@ def standing(fix: Stream, imu: Stream | None) -> Cause | None:
     return None
 
 
+def placeless(pose: Stream) -> Cause | None:
+    """A position repeats to the bit for > 10 s, while its attitude turns by > 0.2 rad."""
+    for first, last in runs(np.all(np.diff(pose.values[:, :3], axis=0) == 0.0, axis=1)).tolist():
+        long_s = float(pose.arrived_s[last] - pose.arrived_s[first])
+        cosine = float(np.abs(pose.values[first : last + 1, 3:] @ pose.values[first, 3:]).min())
+        if long_s > _STANDING_S and 2.0 * np.arccos(min(cosine, 1.0)) > _TURNED_RAD:
+            what = f"its position stays to the last digit for {long_s:.1f} s, while its attitude turns"
+            return Cause(what, float(pose.arrived_s[first]), "its source gives no position: leave it out")
+    return None
+
+
 def again(stream: Stream) -> Cause | None:
     """Messages come again with stamp and reading."""
     same = (np.diff(stream.t_s) == 0.0) & np.all(np.diff(stream.values, axis=0) == 0.0, axis=1)

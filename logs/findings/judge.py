@@ -78,7 +78,7 @@ def _values(streams: Streams, origin: Vec3 | None) -> Iterator[tuple[str, str, C
                 or scatter.scattered(s) or jumps.jump(s)
             )  # fmt: skip
         if s.kind in TURNING and not found:
-            found = numbers.no_quaternions(s) or (jumps.jump(s) if s.kind in (POSE, ODOMETRY) else None)
+            found = numbers.no_quaternions(s) or (held.placeless(s) or jumps.jump(s) if s.kind in (POSE, ODOMETRY) else None)
         if s.kind == _BARO and not found:
             found = position.pressure(s, alt_m) or scatter.scattered(s) or position.pressure_jump(s)
         if s.kind == VELOCITY and not found:

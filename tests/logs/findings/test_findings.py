@@ -236,6 +236,8 @@ FAULTS = [
     *(("/gnss", f) for f in (_moved, _outliers, _runs_away)),
     ("/gnss", _stays([0, 1], "latitude and longitude stay")),
     ("/gnss", _stays([1], "its longitudes stay")),
+    ("/pose_fix", _stays([0, 1, 2], "its position stays")),
+    ("/odometry", _stays([0, 1, 2], "its position stays")),
     ("/imu", _two_sensors),
     *((topic, _inverse) for topic in ("/pose_fix", "/odometry")),
     ("/pose_fix", _moved),
