@@ -49,6 +49,7 @@ _FAR_US = 4e15  # beyond any date; a damaged stamp may be
 _CLOCK_SET_US = 30e6
 _AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
 _REBOOT_US = 5e6  # stamps that fall by more
+_MOST_IN_A_ROW = 100_000  # damaged messages, as a file of zeros has
 _BEGINNING = 1 << 24  # bytes: a file may begin with a block of zeros, as one does that was not written to its end
 _FRAME = re.compile(rb"\x00[\x03-\x07][\x00-\xff]{6}[\xfd\xfe]")  # time of arrival [us] of 1997 to 2041, then a frame
 
@@ -70,13 +71,16 @@ class Table:
 
 
 def messages_of(source: Path, progress: Progress | None) -> tuple[dict[str, Array], int, int]:
-    """Rows (arrived_us, stamp_us, number, *fields); autopilot; number damaged."""
+    """Rows (arrived_us, stamp_us, number, *fields); autopilot; number damaged, of which 100,000 in a row end the log."""
     rows: dict[int, dict[str, dict[int, list[list[float]]]]] = {}  # system, message, component
     autopilots: dict[int, tuple[int, int]] = {}  # system -> component, kind
-    total = damaged = 0
+    total = damaged = in_a_row = 0
     with closing(_open(source)) as log:
         while (message := log.recv_msg()) is not None:
             name, total = message.get_type(), total + 1
+            in_a_row = in_a_row + 1 if name == "BAD_DATA" else 0
+            if in_a_row > _MOST_IN_A_ROW:
+                break
             if name == "BAD_DATA":
                 damaged += 1
             elif name == "HEARTBEAT" and message.autopilot != _NOT_A_VEHICLE:

@@ -458,6 +458,14 @@ def test_a_file_that_is_not_there(tmp_path: Path) -> None:
         tlog.read(tmp_path / "gone.tlog")
 
 
+def test_a_file_of_a_terabyte_of_zeros_comes_to_an_end(tmp_path: Path) -> None:
+    path = tmp_path / "zeros.tlog"
+    with path.open("wb") as file:
+        file.truncate(2**40)
+    with pytest.raises(LogError, match="not a MAVLink telemetry log"):
+        tlog.read(path)
+
+
 @pytest.mark.parametrize("size", [1, 53_000])
 def test_a_block_of_zeros_before_the_first_frame_is_passed_over(size: int, tmp_path: Path) -> None:
     """Of MAVLink 2, whose version the reader takes from the first bytes of the file."""
