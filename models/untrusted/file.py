@@ -20,9 +20,10 @@ def content(path: Path, most: int = FILE_BYTES) -> bytes:
         about = os.fstat(file.fileno())
         regular = stat.S_ISREG(about.st_mode)
         most = most if regular else min(most, PIPE_BYTES)
-        wanted = min(about.st_size if regular else most, most) + 1  # read() takes memory for all that it is asked for
-        data = file.read(wanted)
-    if len(data) > most:
+        large = regular and about.st_size > most
+        wanted = (about.st_size if regular else most) + 1  # read() takes memory for all that it is asked for
+        data = b"" if large else file.read(wanted)
+    if large or len(data) > most:
         raise OSError(errno.EFBIG, f"is larger than {most / 1e6:g} MB", str(path))
     return data
 

@@ -21,6 +21,16 @@ def test_a_regular_file_is_read_whole_up_to_the_bound(tmp_path: Path) -> None:
         content(tmp_path / "a", 4)
 
 
+def test_a_file_larger_than_the_bound_is_refused_unread(tmp_path: Path) -> None:
+    with (tmp_path / "sparse").open("wb") as sparse:
+        sparse.truncate(2**40)
+    tracemalloc.start()
+    with pytest.raises(OSError, match="is larger than"):
+        content(tmp_path / "sparse")
+    assert tracemalloc.get_traced_memory()[1] < 2_000_000
+    tracemalloc.stop()
+
+
 def test_an_endless_device_is_read_no_further_than_the_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(file, "PIPE_BYTES", 2_000_000)
     with pytest.raises(OSError, match="is larger than 2 MB"):
