@@ -259,6 +259,8 @@ def parse(text: str, name: str = "configuration", *, is_recorded: bool = False) 
         raise ConfigError(f"{name}: {error}") from None
     if why := _not_of_the_vehicle(config):
         raise ConfigError(f"{name}: {why}")
+    if config.bounds.vehicle == "boat":  # an autopilot's "landed" means that it is disarmed
+        config = msgspec.structs.replace(config, inputs=msgspec.structs.replace(config.inputs, rest=()))
     return config
 
 

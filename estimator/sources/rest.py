@@ -1,6 +1,6 @@
 """Rest: zero velocity and rotation, heading as at its start.
 
-Shown by the IMU (no change for 3 s), confirmed by a known velocity, zero within the gate.
+Shown by the IMU (no change for 3 s), confirmed by a known velocity, zero within the gate. Asked for while the vehicle is landed.
 
     0 = v + n_v,   w_mean = b_g + R_nb^T w_ie + n_w,   0 = psi - psi_0 + n_psi
 
@@ -11,16 +11,15 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Final
 
-import msgspec
 import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from estimator.sources.base.aid import Aid, SlowError, asked
+from estimator.sources.base.aid import Aid, Refusal, SensorConfig, SlowError, asked
 from estimator.sources.base.gating import gate
 from models import so3
 from models.measurements import Heading
-from models.messages import Array
+from models.messages import Array, Reading, Reason
 from models.state import E, X
 
 TOPIC = "rest"
@@ -29,6 +28,7 @@ _ROWS = np.arange(7)
 _HEADING, _VELOCITY, _RATE = slice(0, 1), slice(1, 4), slice(4, 7)
 _ZERO = 0.95  # share of velocities at rest that are taken for zero
 _WALK = 1e-12  # rad^2/s: of a heading that stays
+ON_GROUND: Final = 1  # of MAV_LANDED_STATE
 EVERY_NS: Final = 1_000_000_000
 AFTER_NS: Final = 3_000_000_000  # of rest, before the first update
 _GYRO, _ACCEL = 0.01, 0.1  # rad/s, m/s^2: deviation over a second below which it may be at rest
@@ -36,12 +36,18 @@ _KNOWN_M_S = 0.2  # sigma of the estimated velocity above which nothing confirms
 _RATE_SIGMA = 3e-4  # rad/s: of a vehicle at rest, mean of a second
 
 
-class RestConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """[rest]: zero-velocity and zero-rotation updates, for vehicles that stand on the ground."""
+class RestConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
+    """[rest]: zero-velocity and zero-rotation updates, where the autopilot says that it is landed; enabled: everywhere."""
 
-    enabled: Annotated[bool, Meta(description="whether a vehicle that the IMU shows at rest is taken to be at rest")] = False
+    enabled: Annotated[
+        bool, Meta(description="whether a vehicle that the IMU shows at rest is taken to be at rest, landed or not")
+    ] = False
     velocity_sigma_m_s: Annotated[float, Meta(ge=1e-4, le=10, description="m/s: of a vehicle at rest")] = 0.05
     heading_sigma_deg: Annotated[float, Meta(ge=1e-3, le=10, description="deg: by which its heading may have moved")] = 0.1
+
+    def aid(self, reading: Reading) -> Aid | Refusal:
+        """A MAV_LANDED_STATE: on the ground the IMU is asked, as elsewhere; the word alone stops nothing."""
+        return rest_aid(reading.t_ns) if reading.values[0] == ON_GROUND else Refusal(Reason.THINNED, "not landed")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -41,6 +41,7 @@ FIELDS = {
         "quality", "distance",
     ),
     "GPS_GLOBAL_ORIGIN": ("latitude", "longitude", "altitude"),
+    "EXTENDED_SYS_STATE": ("landed_state",),
     "GNSS_INTEGRITY": ("id", "jamming_state", "spoofing_state"),
 }  # fmt: skip
 _NOT_A_VEHICLE = 8  # MAV_AUTOPILOT_INVALID

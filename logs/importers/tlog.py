@@ -7,7 +7,7 @@
     SIM_STATE                     ->  /truth: of ArduPilot's simulator
     LOCAL_POSITION_NED, ATTITUDE  ->  /truth without SIM_STATE: the autopilot's estimate, a reference only;
                                       ATTITUDE  ->  /attitude
-    WHEEL_DISTANCE                ->  /velocity_body: forward, of all wheels
+    WHEEL_DISTANCE                ->  /velocity_body: forward, of all wheels             EXTENDED_SYS_STATE  ->  /landed
     ODOMETRY                      ->  /odometry: poses of a camera or lidar; a new frame at each reset_counter
     VISION_POSITION_DELTA         ->  /odometry_delta: a camera's steps      OPTICAL_FLOW_RAD  ->  /optical_flow
 
@@ -82,6 +82,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
             *_heading(tables),
             *_attitude(tables, autopilot, notes),
             *_wheels(tables),
+            *_landed(tables),
             imu,
             *_other_imus(tables, imu, notes),
             *([truth] if truth else []),
@@ -175,6 +176,11 @@ def _position_variance(table: Table) -> Array:
     hdop, vdop = (np.where(table[name] == _UNKNOWN, np.nan, table[name] * 1e-2) for name in ("eph", "epv"))
     accuracy = table.vector("h_acc", "h_acc", "v_acc") * 1e-3
     return np.where((accuracy > 0.0).all(axis=1, keepdims=True), accuracy**2, sensors.variance_from_dop(hdop, vdop))
+
+
+def _landed(tables: Mapping[str, Table]) -> list[Stream]:
+    table = tables.get("EXTENDED_SYS_STATE")
+    return [recording.sensor("rest", table.t_ns, table.arrived_ns, table.vector("landed_state"))] if table else []
 
 
 def _baro(tables: Mapping[str, Table]) -> list[Stream]:

@@ -39,7 +39,7 @@ _WANTED = (
     "vehicle_gps_position", "sensor_gps",
     "airspeed_validated", "airspeed", "distance_sensor",
     "vehicle_attitude", "estimator_status", "vehicle_local_position", "vehicle_visual_odometry", "vehicle_mocap_odometry",
-    "vehicle_optical_flow",
+    "vehicle_optical_flow", "vehicle_land_detected",
     "vehicle_attitude_groundtruth", "vehicle_local_position_groundtruth",
 )  # fmt: skip
 _FLOW = (
@@ -52,6 +52,7 @@ _FIX_3D = 3  # fix_type
 _YAW_ALIGNED = np.uint64(1)  # bit of estimator_status.control_mode_flags
 _SYNTHETIC = 4  # AirspeedValidated.airspeed_source: no sensor; below 1: ground speed less wind, none
 _DOWNWARDS = 25  # ROTATION_DOWNWARD_FACING
+_GROUND, _AIR = 1.0, 2.0  # MAV_LANDED_STATE
 _FAR_US = np.uint64(4 * 10**15)  # beyond any date; a damaged stamp may be
 _UNIX_US = 10**14  # stamps above it count from 1970
 
@@ -74,7 +75,7 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     aids = [*(_gnss(source, receiver, clock, notes) if receiver else []), *_baro(topics, clock), *_field(topics, clock)]
     aids += [*_airspeed(topics, clock), *_range(log.data_list, clock)]
     aids += [*_attitude(topics, clock, notes), *_odometry(topics, clock, notes)]
-    aids += _flow(topics, clock, [imu, *aids], notes)
+    aids += _flow(topics, clock, [imu, *aids], notes) + _landed(topics, clock)
     others = _other_imus(log.data_list, clock, notes)
     truth, origin = _truth(topics, receiver, clock, notes)
     delay_s = float(log.initial_parameters.get("EKF2_GPS_DELAY", 0.0)) * 1e-3
@@ -86,6 +87,13 @@ def read(source: Path, options: ImportOptions = DEFAULTS, progress: Progress | N
     settings = Settings(gnss_delay_s=delay_s, origin=origin if receiver else None, altitude=altitude)
     reference = recording.AUTOPILOT if truth and not _simulated(topics) else ""
     return Recording.of((*aids, imu, *others, *([truth] if truth else [])), settings, notes, reference)
+
+
+def _landed(topics: Mapping[str, Topic], clock_us: int) -> list[Stream]:
+    topic = topics.get("vehicle_land_detected")
+    if topic is None:
+        return []
+    return [recording.sensor("rest", *_times(topic, clock_us), np.where(topic["landed"] > 0, _GROUND, _AIR)[:, np.newaxis])]
 
 
 def _receiver(data: Sequence[Any], notes: list[str]) -> Topic | None:

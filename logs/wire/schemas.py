@@ -33,6 +33,8 @@ RESET: Final = "landfix_msgs/msg/Reset"
 INTEGRITY: Final = "landfix_msgs/msg/Integrity"
 CHECKPOINT: Final = "landfix_msgs/msg/Checkpoint"
 
+EXTENDED_STATE: Final = "mavros_msgs/msg/ExtendedState"
+
 LANDFIX_MSGS: Final = {
     LANDMARK_FIX: """\
 # A 6-DoF position fix from known landmarks in a stereo pair.
@@ -198,7 +200,8 @@ float64[] last_gnss
 }
 
 STORE: Final = get_typestore(Stores.ROS2_HUMBLE)
-for _name, _text in LANDFIX_MSGS.items():
+_MAVROS: Final = {EXTENDED_STATE: "std_msgs/Header header\nuint8 vtol_state\nuint8 landed_state\n"}
+for _name, _text in (LANDFIX_MSGS | _MAVROS).items():
     STORE.register(get_types_from_msg(_text, _name))
 
 

@@ -37,6 +37,9 @@ class SensorTopics(msgspec.Struct, frozen=True):
     magnetometer: Annotated[
         _Topics, Meta(description="topics of sensor_msgs/msg/MagneticField; none: no magnetometer is used")
     ] = ()
+    rest: Annotated[
+        _Topics, Meta(description="topics of mavros_msgs/msg/ExtendedState: landed, and so perhaps at rest; not of a boat")
+    ] = ("/landed",)
 
 
 class Sensor(NamedTuple):
@@ -135,6 +138,14 @@ def _pressure(reading: Reading) -> dict[str, Any]:
     return {"fluid_pressure": reading.values[0], "variance": variance}
 
 
+def _landed(message: Any) -> _Values:
+    return (float(message.landed_state),), None
+
+
+def _landed_message(reading: Reading) -> dict[str, Any]:
+    return {"vtol_state": 0, "landed_state": int(reading.values[0])}
+
+
 SENSORS: Final = {  # kind -> its message
     "baro": Sensor("/baro", schemas.PRESSURE, lambda m: ((m.fluid_pressure,), np.array([[m.variance]])), _pressure),
     "velocity_body": Sensor("/velocity_body", schemas.TWIST, _velocity, _velocity_message),  # m/s
@@ -143,4 +154,5 @@ SENSORS: Final = {  # kind -> its message
     "beacon": Sensor("/beacon/1", schemas.RANGE, _range, _range_message),  # m
     "heading": Sensor("/heading", schemas.IMU, _azimuth, _azimuth_message),  # rad, clockwise from north
     "magnetometer": Sensor("/mag", schemas.MAGNETIC_FIELD, _field, _field_message),  # tesla
+    "rest": Sensor("/landed", schemas.EXTENDED_STATE, _landed, _landed_message),  # MAV_LANDED_STATE
 }

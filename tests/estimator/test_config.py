@@ -179,3 +179,10 @@ def test_an_input_is_one_topic_and_not_an_own_output(topic: str, what: str) -> N
         with pytest.raises(ConfigError, match=re.escape(f"[inputs] {key}: {topic} {what}")):
             parse(f'[inputs]\n{key} = "{topic}"\n')
     parse('[inputs]\npose_fix = ["/tf_fix", "/mine/landfix/fix"]\n')
+
+
+def test_a_boat_is_not_landed(tmp_path: Path) -> None:
+    file = tmp_path / "v.toml"
+    for vehicle, topics in (("multirotor", ("/landed",)), ("boat", ())):
+        file.write_text(f'[bounds]\nvehicle = "{vehicle}"\n')
+        assert load(file).inputs.rest == topics

@@ -7,7 +7,7 @@ import pytest
 
 from estimator.fusion import Fusion, FusionConfig
 from estimator.sources.rest import RestConfig
-from models.messages import Array, Estimate, ImuSample, Input, Reason
+from models.messages import Array, Estimate, ImuSample, Input, Reading, Reason
 from models.sim.scenario import EPOCH_NS
 from models.sim.sensors import GRADES, Imu
 from models.state import E
@@ -45,6 +45,13 @@ def _dark(messages: list[Input], begin_s: float, end_s: float) -> list[Input]:
     return [m for m in messages if isinstance(m, ImuSample) or not begin_s < (m.t_ns - EPOCH_NS) * 1e-9 < end_s]
 
 
+def _landed(messages: list[Input], state: float, begin_s: float, end_s: float) -> list[Input]:
+    """With an autopilot's word at 5 Hz."""
+    times = EPOCH_NS + (np.arange(begin_s, end_s, 0.2) * 1e9).astype(np.int64)
+    words = [Reading(t, t, "/landed", "rest", (state,)) for t in times.tolist()]
+    return sorted([*messages, *words], key=lambda m: m.arrived_ns)
+
+
 def _errors(run: Run, journey: Ride, begin_s: float, end_s: float) -> tuple[float, float]:
     """Largest error of position [m], and mean NEES of position and attitude per component."""
     some: list[Estimate] = within(run.aligned, begin_s, end_s)
@@ -60,9 +67,11 @@ def _heading_sigma_deg(e: Estimate) -> float:
     return math.degrees(math.sqrt(float(np.diag(e.covariance)[E.THETA].max())))
 
 
-def test_given_a_stand_without_gnss_then_position_and_heading_stay(journey: Ride) -> None:
+@pytest.mark.parametrize("landed", [False, True], ids=["enabled", "landed"])
+def test_given_a_stand_without_gnss_then_position_and_heading_stay(journey: Ride, *, landed: bool) -> None:
     dark = _dark(journey.messages, BEGINS_S + 10.0, BEGINS_S + STANDS_S)
-    on, off = Run(Fusion(ON)).feed(dark), Run(Fusion(OFF)).feed(dark)
+    off = Run(Fusion(OFF)).feed(dark)
+    on = Run(Fusion(OFF)).feed(_landed(dark, 1.0, BEGINS_S, BEGINS_S + STANDS_S)) if landed else Run(Fusion(ON)).feed(dark)
     assert on.internal_errors() == []
     (kept_m, nees), (lost_m, _) = (_errors(run, journey, BEGINS_S + 70.0, BEGINS_S + 85.0) for run in (on, off))
     assert kept_m < 1.5 < lost_m

@@ -30,7 +30,8 @@ def command(
 ) -> None:
     """Start a running daemon without GNSS: where the vehicle stands, and where its nose points.
 
-    The vehicle stands still meanwhile. Needs [map] origin, and [rest] enabled to hold the estimate until the vehicle moves.
+    The vehicle stands still meanwhile. Needs [map] origin. Rest holds the estimate until the vehicle moves: [rest] enabled, or
+    an autopilot that says it is landed.
     Refused once there is an estimate. With --heading to 4 degrees or better the estimate comes within seconds; otherwise a
     sensor or the motion has to show the heading.
 
@@ -59,7 +60,9 @@ def command(
         waited_s = start.start(session, mine.zenoh.domain, given, _PATIENCE_S)
     typer.echo(f"landfix has an estimate after {waited_s:.1f} s")
     if not its.rest.enabled:
-        typer.echo("[rest] enabled is not set: without other fixes the estimate is of no use in a few seconds", err=True)
+        typer.echo(
+            "[rest] enabled is not set: without fixes, or an autopilot that says it is landed, this lasts seconds", err=True
+        )
 
 
 def _place(text: str) -> list[float]:

@@ -152,6 +152,7 @@ _GPS: Final = struct.Struct("<4xQQ8x4df4xB3xff8xiHBxiBB6x3f4x?")  # of SensorGps
 _NED, _VISION = 1, 2
 _NOT_GIVEN: Final = None, None, None
 _BYTE: Final = 256
+_IS_LANDED, _GROUND, _AIR = 15, 1, 2  # behind encapsulation, timestamp, freefall, ground_contact and maybe_landed
 
 
 @cache
@@ -187,6 +188,11 @@ def receiver(data: bytes, geoid_m: float, topic: str) -> tuple[GnssFix, GnssVelo
     fix = GnssFix(t_ns, t_ns, lat, lon, height, covariance, int(status), topic, state)
     velocity = GnssVelocity(t_ns, t_ns, (n, e, d), v_covariance, f"{topic}/velocity")
     return fix, velocity if valid and fix.is_on_earth else None, reception(noise, gain, indicator, authentication)
+
+
+def landed(data: bytes) -> float | None:
+    """MAV_LANDED_STATE of a VehicleLandDetected (1.15 to 1.18); None: too short."""
+    return None if len(data) <= _IS_LANDED else float(_GROUND if data[_IS_LANDED] else _AIR)
 
 
 def vehicle_odometry(

@@ -24,6 +24,8 @@ _SYSTEM_TIME_HZ: Final = 1.0
 _SLOWER_US: Final = 3_125, 6_250, 12_500, 25_000, 40_000  # 80 % of a loop of 400, 200, 100, 50 Hz; what still navigates
 _ATTITUDE_HZ: Final = 2.0
 _ORIGIN_HZ: Final = 1.0
+_LANDED: Final[int] = mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
+_LANDED_HZ: Final = 1.0
 _ORIGIN: Final[int] = mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN
 _ATTITUDE: Final[int] = mavlink.MAVLINK_MSG_ID_ATTITUDE
 _IMU: Final[int] = mavlink.MAVLINK_MSG_ID_HIGHRES_IMU
@@ -85,6 +87,8 @@ class Inputs:
         self.wanted |= {GNSS_INTEGRITY} if self._positions else set()
         self._states: dict[int, tuple[ReceiverState, int]] = {}  # message id of the receiver's fixes -> its flags, and when
         self._authentication: dict[int, str] = {}  # id of the receiver -> in words
+        self._rest_topic = topics.rest[0] if topics.rest else None
+        self.wanted |= {_LANDED} if self._rest_topic else set()
         self._heard: dict[int, int] = {}  # message id -> when
         self._asked: dict[int, int] = {}
         self._began_ns: int | None = None  # when an IMU was first asked for
@@ -151,6 +155,11 @@ class Inputs:
             self._states[_RECEIVERS[message.id]] = codec.receiver_state(message), now_ns
             self._authentication[message.id] = codec.authentication(message)
 
+    def landed(self, message: Any, now_ns: int) -> Iterator[Input]:
+        """EXTENDED_SYS_STATE (no stamp)."""
+        if self._rest_topic:
+            yield Reading(now_ns, now_ns, self._rest_topic, "rest", (float(message.landed_state),))
+
     def _state(self, number: int, now_ns: int) -> ReceiverState:
         state, heard_ns = self._states.get(number, (ReceiverState.UNKNOWN, _NEVER))
         return state if now_ns - heard_ns <= _MISSING_NS else ReceiverState.UNKNOWN
@@ -186,6 +195,8 @@ class Inputs:
         wanted |= dict.fromkeys(self._positions.keys() | self._velocities.keys(), self._gnss_us)
         if self._attitude_topic:
             wanted[_ATTITUDE] = round(_MICRO / _ATTITUDE_HZ)
+        if self._rest_topic:
+            wanted[_LANDED] = round(_MICRO / _LANDED_HZ)
         wanted |= dict.fromkeys(self._other_imus, self._imu_us)
         wanted |= dict.fromkeys(self._carriers - {_RAW, _SCALED}, self._gnss_us)
         wanted |= dict.fromkeys(self._steppers, round(_MICRO / _STEPS_HZ))

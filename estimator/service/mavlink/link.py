@@ -86,6 +86,7 @@ class MavlinkLink:
         self._unix_ahead_ns: int | None = None  # of our clock, as SYSTEM_TIME says
         self._autopilot = _AUTOPILOTS.get(config.autopilot)
         self._peer: Any = None
+        self._is_boat = False
         self._heartbeat_ns = self._peer_ns = -SECOND_NS * 3600
         self._next_heartbeat_ns = self._next_timesync_ns = self._since_ns = 0
         self._sending, self._stopping = threading.Lock(), False
@@ -285,6 +286,9 @@ class MavlinkLink:
             self._ekf.hear(message)
         elif kind == "GNSS_INTEGRITY":
             self._inputs.note_integrity(message, now_ns)
+        elif kind == "EXTENDED_SYS_STATE":
+            for measurement in self._inputs.landed(message, now_ns) if not self._is_boat else ():
+                inbox.put(measurement)
         else:
             before = self._boot.reboots
             t_ns = self._boot.t_ns(codec.stamp_ns(message), now_ns)
@@ -314,7 +318,7 @@ class MavlinkLink:
             return
         if now_ns - self._heartbeat_ns > _GONE_NS:
             self._ask_again()
-        self._heartbeat_ns = now_ns
+        self._heartbeat_ns, self._is_boat = now_ns, message.type == mavlink.MAV_TYPE_SURFACE_BOAT
         if self._config.autopilot == "auto":
             self._autopilot = message.autopilot
 

@@ -21,13 +21,14 @@ from estimator.service.zenoh.keys import rmw_key
 from logs.wire.codec import Encoded, Topics
 from models import so3
 from models.frames import Origin
-from models.messages import Array, Estimate, Output, Vec3, vec3
+from models.messages import Array, Estimate, Output, Reading, Vec3, vec3
 from models.state import X
 
 _TIMESTAMP: Final = struct.Struct("<4xQ")  # behind the encapsulation every message of PX4 begins with it, us
 _SENT: Final = struct.Struct("<8xQ17x")  # of the attachment, us
 _US: Final = 1_000
 GNSS_TOPIC: Final = "/fmu/out/vehicle_gps_position"  # in [inputs] gnss; with /velocity behind it in gnss_velocity
+_LANDED: Final = "/fmu/out/vehicle_land_detected/"
 _STALE_NS: Final = 60 * SECOND_NS
 _REFERENCE_NS: Final = 3 * SECOND_NS  # without a local position its reference may be another one
 
@@ -50,6 +51,7 @@ class Px4Link:
         self._boot, self._heard_ns = AutopilotClock(), 0
         self._local, self._reference_ns = LocalOrigin(), 0
         self._feed: tuple[Inbox, bool, bool] | None = None  # whether it takes positions and velocities
+        self._landed: tuple[Inbox, str] | None = None  # the topic
         self._has_none = True  # as far as it has said since its boot; silence later on is no such word
         self._map_origin: Vec3 | None = None
         self._quality: int | None = None  # of the last odometry
@@ -71,6 +73,7 @@ class Px4Link:
         """Feed its GNSS receiver to those of the topics that are PX4's."""
         receivers = GNSS_TOPIC in topics.gnss, f"{GNSS_TOPIC}/velocity" in topics.gnss_velocity
         self._feed = (inbox, *receivers) if any(receivers) else None
+        self._landed = (inbox, topics.rest[0]) if topics.rest else None
 
     def send(self, outputs: Sequence[Output], encoded: Sequence[Encoded]) -> None:  # noqa: ARG002  (an Outbox is given both)
         """Send the outputs meant for PX4."""
@@ -171,6 +174,9 @@ class Px4Link:
             self._heard_ns = arrived_ns
             if str(sample.key_expr) == self._local_key:
                 self._hear_reference(payload, arrived_ns)
+            elif self._landed is not None and _LANDED in str(sample.key_expr) and (landed := px4.landed(payload)) is not None:
+                inbox, topic = self._landed
+                inbox.put(Reading(arrived_ns, arrived_ns, topic, "rest", (landed,)))
             elif self._feed is not None and f"{GNSS_TOPIC}/" in str(sample.key_expr):
                 self._hear_receiver(payload)
 

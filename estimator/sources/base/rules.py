@@ -31,7 +31,7 @@ RULES: Final = {
     "velocity_body": Rules(false_share=0.01, hold_s=5.0, spacing_s=0.1),
     "airspeed": Rules(false_share=0.01, hold_s=30.0, spacing_s=0.2),
     "drag": Rules(hold_s=30.0),
-    "rest": Rules(),
+    "rest": Rules(spacing_s=0.9),
     "baro": Rules(false_share=0.01, spacing_s=1.0),
     "range": Rules(false_share=0.02, spacing_s=0.2),
     "beacon": Rules(false_share=0.05, hold_s=5.0, spacing_s=0.2),

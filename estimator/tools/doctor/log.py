@@ -37,6 +37,7 @@ _GRAVITY_BAND = (9.3, 10.3)  # m/s^2, mean over the stillest second
 _FASTEST_RAD_S = 40.0  # 2300 deg/s: beyond the range of flight gyroscopes
 _SWIFT_RAD_S = 3.0
 _FEW_SPIKES = 1e-3  # of all samples; in deg/s more are beyond
+_USUAL = Reason.NO_FIX, Reason.THINNED
 _HALF_EMPTY = 0.1  # of all samples
 
 
@@ -56,7 +57,7 @@ class _Topic:
         if isinstance(message, Unusable):
             self.bad.append(message.detail)
         else:
-            if isinstance(made, Refusal) and not (made.reason is Reason.NO_FIX or _no_echo(message)):  # both are normal
+            if isinstance(made, Refusal) and not (made.reason in _USUAL or _no_echo(message)):
                 self.bad.append(f"{made.reason} {made.detail}".strip())
                 self.slow = isinstance(message, Reading) and message.kind == "airspeed" and made.reason is Reason.IMPLAUSIBLE
             elif isinstance(made, Aid) and made.assumed:

@@ -412,6 +412,16 @@ def test_the_flags_of_a_receiver_are_in_its_fixes_for_three_seconds(tmp_path: Pa
     assert "/gnss: the receiver reports jamming or spoofing in 6 of 12 fixes" in recording.notes
 
 
+def test_whether_it_is_landed(tmp_path: Path) -> None:
+    ground = Ground()
+    for k, state in enumerate((1, 3, 2)):
+        ground.imu(500_000 * k, 5_000_000 + 500_000 * k)
+        ground.hear(500_000 * k, mavlink2.MAVLink_extended_sys_state_message(0, state))
+    recording = tlog.read(ground.write(tmp_path))
+    assert [m.values for m in recording if isinstance(m, Reading)] == [(1.0,), (3.0,), (2.0,)]
+    assert 'rest = ["/landed"]' in recording.settings.toml("tlog", tmp_path, ("/imu", "/landed"))
+
+
 @pytest.mark.parametrize(("field", "origin_s", "count"), [(0.0, 0.0, 0), (0.3, 0.0, 10), (0.3, 2.0, 6)])
 def test_a_heading_that_may_be_anything_is_not_taken(tmp_path: Path, field: float, origin_s: float, count: int) -> None:
     """A dead compass, or ArduPilot before its origin: 1 s later it would be taken."""

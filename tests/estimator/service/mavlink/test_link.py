@@ -34,6 +34,7 @@ from models.messages import (
     Integrity,
     Mode,
     OdometryPose,
+    Reading,
     Reason,
 )  # fmt: skip
 from models.state import X
@@ -124,10 +125,11 @@ def _soon(condition: Callable[[], object], what: str) -> None:
 
 def test_it_reports_who_it_is_and_asks_for_what_it_needs() -> None:
     with _px4(imu_hz=250.0, gnss_hz=8.0) as (_, _, _, autopilot):
-        autopilot.until(lambda: len(_requested(autopilot.heard)) == 6, "all are asked for")
+        autopilot.until(lambda: len(_requested(autopilot.heard)) == 7, "all are asked for")
         beat = autopilot.of("HEARTBEAT")[0]
         assert (beat.get_srcSystem(), beat.get_srcComponent(), beat.type, beat.autopilot) == (1, 197, 18, 8)
         wanted = {IMU: 4000.0, GPS: 125_000.0, GPS2: 125_000.0, SYSTEM_TIME: 1e6, ATTITUDE: 500_000.0, EKF_ORIGIN: 1e6}
+        wanted[mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE] = 1e6
         assert _requested(autopilot.heard) == wanted
         command = autopilot.of("COMMAND_LONG")[0]
         assert (command.target_system, command.target_component) == (1, 1)
@@ -184,6 +186,21 @@ def test_odometry_goes_out_in_the_convention_of_who_is_there(kind: int, frame: i
     quality = 0 if kind == PX4 else -1  # nothing but its own GNSS; its origin is not known
     assert (first.frame_id, first.child_frame_id, first.quality, first.reset_counter) == (frame, 12, quality, 3)
     assert (first.time_usec, second.time_usec) == (t_ns // 1000, (t_ns + SECOND) // 1000)
+
+
+def test_a_landed_state_is_passed_on_unless_of_a_boat() -> None:
+    with _px4() as (_, inbox, clock, autopilot):
+
+        def say(kind: int, state: int) -> None:
+            autopilot.say(mavlink.MAVLink_heartbeat_message(kind, PX4, 0, 0, 4, 3))
+            autopilot.say(mavlink.MAVLink_extended_sys_state_message(0, state))
+
+        say(mavlink.MAV_TYPE_SURFACE_BOAT, 3)
+        say(mavlink.MAV_TYPE_QUADROTOR, 1)
+        _soon(lambda: inbox.of(Reading), "the state")
+        (landed,) = inbox.of(Reading)
+        assert (landed.topic, landed.kind, landed.values) == ("/landed", "rest", (1.0,))
+        assert abs(landed.t_ns - clock.now_ns()) < 60 * SECOND
 
 
 def _say_origin(autopilot: UdpAutopilot, away_n: tuple[float, float, float]) -> None:
@@ -379,7 +396,7 @@ def test_nothing_that_is_not_a_number_is_reported_and_nothing_to_nobody() -> Non
 @pytest.mark.parametrize("messages", [("SYSTEM_TIME",), ("HIGHRES_IMU",)])
 def test_after_a_reboot_it_asks_again_and_finds_the_new_clock(messages: tuple[str]) -> None:
     with _px4() as (link, inbox, _, autopilot):
-        autopilot.until(lambda: link.report()["timesync_answers"] and len(_requested(autopilot.heard)) == 6, "all is set up")
+        autopilot.until(lambda: link.report()["timesync_answers"] and len(_requested(autopilot.heard)) == 7, "all is set up")
         autopilot.imu()
         autopilot.booted_ns = time.monotonic_ns() - SECOND
         autopilot.heard.clear()
@@ -389,7 +406,7 @@ def test_after_a_reboot_it_asks_again_and_finds_the_new_clock(messages: tuple[st
                 autopilot.say(mavlink.MAVLink_system_time_message(0, autopilot.boot_us() // 1000))
             else:
                 autopilot.imu()
-            return link.report()["reboots"] == 1 and len(_requested(autopilot.heard)) == 6
+            return link.report()["reboots"] == 1 and len(_requested(autopilot.heard)) == 7
 
         autopilot.until(rebooted, "the reboot is noticed", beats=False)
         got = len(inbox.got)
@@ -402,12 +419,12 @@ def test_after_a_reboot_it_asks_again_and_finds_the_new_clock(messages: tuple[st
 def test_after_a_silence_it_asks_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("estimator.service.mavlink.link._GONE_NS", SECOND // 2)
     with _px4() as (link, _, _, autopilot):
-        autopilot.until(lambda: len(_requested(autopilot.heard)) == 6, "all are asked for")
+        autopilot.until(lambda: len(_requested(autopilot.heard)) == 7, "all are asked for")
         autopilot.listen(0.7)
         autopilot.heard.clear()
         autopilot.heartbeat()
         autopilot.listen(0.2)
-        assert len(_requested(autopilot.heard)) == 6
+        assert len(_requested(autopilot.heard)) == 7
         assert link.report()["reboots"] == 0
 
 

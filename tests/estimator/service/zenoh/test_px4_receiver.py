@@ -18,7 +18,7 @@ from estimator.service.zenoh.keys import attachment
 from estimator.service.zenoh.px4_link import GNSS_TOPIC, Px4Link
 from logs.wire.axes import ImuMounting
 from logs.wire.codec import Decoder, Topics
-from models.messages import GnssFix, GnssVelocity, ReceiverState
+from models.messages import GnssFix, GnssVelocity, Reading, ReceiverState
 from tests.estimator.service.flying import free_port, until
 
 SECOND, BOOT_US = 1_000_000_000, 90_000_000
@@ -61,6 +61,7 @@ RELEASES = {
     "1.17": HEAD + "uint8 authentication_state\n" + MIDDLE + "uint32 system_error\n" + TAIL,
     "1.18": HEAD + "uint8 authentication_state\n" + MIDDLE + "uint32 system_error\n" + TAIL + ANTENNA,
 }
+LANDED = bytes([0, 1, 0, 0]) + bytes(8) + bytes([0, 0, 0, 1]) + bytes(8)  # of a VehicleLandDetected, from the encapsulation on
 FIX = {
     "timestamp": BOOT_US,
     "timestamp_sample": BOOT_US - 100_000,
@@ -142,12 +143,15 @@ def test_its_fixes_come_over_zenoh_in_our_time(tmp_path: Path) -> None:
 
         def arrives() -> bool:
             theirs.put(key, _bytes("1.18", spoofing_state=3, jamming_indicator=7), attachment=attachment(1, BOOT_US, bytes(16)))
-            return len(mailbox) > 1
+            theirs.put(
+                key.replace(GNSS_TOPIC, "/fmu/out/vehicle_land_detected"), LANDED, attachment=attachment(1, BOOT_US, bytes(16))
+            )
+            return len(mailbox) > 3
 
         until(arrives, "a fix arrives", 20.0)
         assert link.report()["receiver"] == "jamming indicator 7 of 255"
         now_ns, decoder = clock.now_ns(), Decoder(topics)
-        arrivals = [a for _ in range(2) if (a := mailbox.get(1.0)) is not None]
+        arrivals = [a for _ in range(len(mailbox)) if (a := mailbox.get(1.0)) is not None]
         measured = [decoder.decode(a.topic, a.schema, a.data, a.arrived_ns) for a in arrivals]
     fix = next(m for m in measured if isinstance(m, GnssFix))
     velocity = next(m for m in measured if isinstance(m, GnssVelocity))
@@ -155,6 +159,9 @@ def test_its_fixes_come_over_zenoh_in_our_time(tmp_path: Path) -> None:
     assert velocity.topic == f"{fix.topic}/velocity"
     assert abs(now_ns - 100_000_000 - fix.t_ns) < 20 * SECOND
     assert fix.t_ns == velocity.t_ns
+    assert {(m.topic, m.kind, m.values) for m in measured if isinstance(m, Reading)} == {("/landed", "rest", (1.0,))}
+    assert px4.landed(LANDED[:15] + bytes(9)) == 2.0
+    assert px4.landed(LANDED[:15]) is None
 
 
 def _peer(port: int, role: str) -> zenoh.Config:
