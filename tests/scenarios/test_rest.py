@@ -1,6 +1,7 @@
 """Rest: a vehicle that stands still keeps position and heading; what only looks at rest does not stop."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -30,6 +31,19 @@ def _cruise(t: Array) -> Array:
     """Loops, then straight on at 3 m/s, with the nose held."""
     straight = np.column_stack([3.0 * np.maximum(t - MOVES_S, 0.0), np.zeros((len(t), 3))])
     return loops(np.minimum(t, MOVES_S)) + straight
+
+
+def _flying(speed_m_s: float, sway_m: float) -> Callable[[Array], Array]:
+    """Loops, then ahead at this speed within 10 s, swaying as a controller that holds its place in wind."""
+
+    def path(t: Array) -> Array:
+        s = np.maximum(t - MOVES_S - 3.0, 0.0)
+        ahead = speed_m_s * np.where(s < 10.0, s**2 / 20.0, s - 5.0)
+        sway = sway_m * np.minimum(s / 5.0, 1.0)
+        sways = [ahead + sway * np.sin(1.3 * s), sway * np.cos(0.9 * s), 0.3 * sway * np.sin(0.7 * s), np.zeros(len(t))]
+        return loops(np.minimum(t, MOVES_S)) + np.column_stack(sways)
+
+    return path
 
 
 def _imu() -> Imu:
@@ -99,6 +113,35 @@ def test_given_a_straight_cruise_that_feels_like_rest_then_it_is_not_stopped(is_
     assert Reason.FUSED not in {s.reason for s in cruising}
     assert Reason.GATED in {s.reason for s in cruising}
     _, nees = _errors(run, cruise, BEGINS_S + 5.0, BEGINS_S + 38.0)
+    assert nees < 2.5
+
+
+@long.parametrize("is_dark", [False, True], ids=["with GNSS", "without"])
+@long.parametrize(
+    ("speed_m_s", "sway_m"), [(0.3, 0.1), (0.0, 0.1), (0.0, 0.3), (3.0, 0.0)], ids=["drift", "hover", "wind", "cruise"]
+)
+def test_given_a_false_landed_in_flight_then_the_estimate_is_as_without_it(
+    speed_m_s: float, sway_m: float, is_dark: bool
+) -> None:
+    """The IMU shows the sway, and the velocity the cruise."""
+    flight = ride(2.0, MOVES_S + 40.0, seed=4, path=_flying(speed_m_s, sway_m), imu=_imu())
+    messages = _dark(flight.messages, BEGINS_S + 15.0, 1e9) if is_dark else flight.messages
+    told, untold = Run(Fusion(OFF)).feed(_landed(messages, 1.0, BEGINS_S + 6.0, BEGINS_S + 38.0)), Run(Fusion(OFF)).feed(messages)
+    said = told.reasons("rest")
+    assert sum(said.values()) > 100
+    assert Reason.FUSED not in said
+    begin_s, end_s = BEGINS_S + 5.0, BEGINS_S + 38.0
+    assert _errors(told, flight, begin_s, end_s) == pytest.approx(_errors(untold, flight, begin_s, end_s))
+
+
+@long.parametrize("is_dark", [False, True], ids=["with GNSS", "without"])
+def test_given_a_false_landed_in_a_drift_without_vibration_then_no_harm_beyond_what_is_said(is_dark: bool) -> None:
+    """0.3 m/s: neither the IMU nor the velocity shows it."""
+    flight = ride(2.0, MOVES_S + 40.0, seed=4, path=_flying(0.3, 0.0), imu=_imu())
+    messages = _dark(flight.messages, BEGINS_S + 5.0, 1e9) if is_dark else flight.messages
+    run = Run(Fusion(OFF)).feed(_landed(messages, 1.0, BEGINS_S, BEGINS_S + 38.0))
+    worst, nees = _errors(run, flight, BEGINS_S + 5.0, BEGINS_S + 38.0)
+    assert worst < (12.0 if is_dark else 2.5)
     assert nees < 2.5
 
 
