@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from benchmarks.stress import sensors
 from benchmarks.stress.flights import Aids, Flight
 from models.frames import GRAVITY, Origin
 from models.messages import Array, GnssFix, GnssVelocity, ImuSample, Input, PoseFix, vec3
@@ -402,6 +403,14 @@ KINDS = {
         Kind(name="GNSS frozen", perturb=gnss_frozen, unit="s", sizes=(5.0, 20.0), aids="gnss"),
         Kind(name="GNSS jammed", perturb=gnss_jammed, unit="s", sizes=(3.5,), aids="gnss"),
         Kind(name="GNSS slow error", perturb=gnss_slow, unit="m", sizes=(0.5, 1.0, 2.0), aids="gnss"),
+        Kind(name="velocity scaled", perturb=sensors.velocity_scaled, unit="x", sizes=(1.0, 0.5, 2.0)),
+        Kind(name="velocity biased", perturb=sensors.velocity_biased, unit="m/s", sizes=(0.5, 2.0)),
+        Kind(name="velocity drifts", perturb=sensors.velocity_drifts, unit="m/s^2", sizes=(0.05,)),
+        Kind(name="velocity late", perturb=sensors.velocity_late, unit="ms", sizes=(100.0, 500.0)),
+        Kind(name="odometry drifts", perturb=sensors.odometry_drifts, unit="m/s", sizes=(0.2,)),
+        Kind(name="velocity drifts, GNSS alone", perturb=sensors.velocity_drifts, unit="m/s^2", sizes=(0.05,), aids="gnss"),
+        Kind(name="odometry drifts, GNSS alone", perturb=sensors.odometry_drifts, unit="m/s", sizes=(0.2,), aids="gnss"),
+        Kind(name="barometer climbs, GNSS alone", perturb=sensors.baro_climbs, unit="m/s", sizes=(1.0,), aids="gnss"),
         *_at_fix_periods(
             Kind(name="GNSS off from boot", perturb=gnss_boot, unit="m", sizes=(20.0, 200.0, 5000.0), aids="both", from_s=BOOT_S),
             2.0,

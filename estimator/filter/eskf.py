@@ -170,6 +170,11 @@ class Eskf:
         self.cov[E.BG, E.BG] += np.diag(sigma[:3] ** 2)
         self.cov[E.BA, E.BA] += np.diag(sigma[3:] ** 2)
 
+    def forget_clones(self) -> None:
+        """No pose of an odometry is kept any more."""
+        for block in list(self.clones):
+            self.forget(block)
+
     def forget(self, block: str) -> None:
         """The slow error `block` is no longer taken into account."""
         gone = self.slow.columns[block]

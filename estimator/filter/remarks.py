@@ -54,6 +54,15 @@ def wrong(sources: Mapping[str, SourceState]) -> list[str]:
     return [f"{topic}: {WRONG}" for topic, state in sorted(sources.items()) if not state.noise.is_noise]
 
 
+def refuted(sources: Mapping[str, SourceState], t_ns: int) -> list[str]:
+    """Sensors that positions contradict."""
+    return [
+        f"{topic} contradicts the positions: used again once it has agreed with them for {state.agrees_s:.0f} s"
+        for topic, state in sorted(sources.items())
+        if state.is_refuted and t_ns <= state.silent_ns
+    ]
+
+
 def two_headings(topics: tuple[str, str]) -> str:
     """Neither is taken."""
     return f"the headings of {' and '.join(topics)} differ: neither is used, the motion shows it"

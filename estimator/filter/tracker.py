@@ -205,6 +205,7 @@ class Tracker:
             *remarks.units(self.path_scale, core.absolute),
             *remarks.drifts(core.hypotheses),
             *remarks.wrong(self.sources),
+            *remarks.refuted(self.sources, core.t_ns),
             *remarks.delays(self.delays, core.hypotheses),
             *remarks.variance(core.variance_factor.lasting),
             *remarks.held(self.held_ns, core.t_ns),
@@ -260,6 +261,8 @@ class Tracker:
         if aid.geodetic and core.origin is None and core.hypotheses is None:
             core.origin, self.place = Origin(*aid.geodetic), aid.geodetic
             core.constants = imu.constants(core.noise, core.config.coast, core.origin)
+        if core.hypotheses is not None:
+            core.hypotheses.expire(aid.t_ns)
         if isinstance(aid, OdometryAid):
             return self._odometry(aid)
         if isinstance(aid, ImuAid):
@@ -389,6 +392,8 @@ class Tracker:
         if (aid.absolute or aid.receiver) and isinstance(z, Pose | Position | Velocity):
             now = self._scattered(known, aid, verdict, alone=alone)
             self.scatter = {**self.scatter, aid.topic: now}
+        for topic in verdict.wrong:
+            self.sources[topic] = self.sources.get(topic, _UNKNOWN).refuted(aid.t_ns)
         if trusted and aid.absolute and not verdict.explained:
             core.note_variance(aid, verdict.seen)
         if verdict.fused and aid.absolute and alone and not aid.geodetic:  # two sources that disagree are no motion

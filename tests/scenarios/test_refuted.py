@@ -1,6 +1,7 @@
-"""A sensor that positions have refuted is not used in the dark, where the covariance grows until anything passes the gate."""
+"""A sensor that positions refute is not fused, nor in the dark, where the covariance grows until anything passes the gate."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -10,13 +11,15 @@ from estimator.fusion import Fusion, FusionConfig
 from estimator.sources.beacon import BeaconConfig
 from estimator.sources.rest import RestConfig
 from models import so3
-from models.messages import Array, AttitudePrior, ImuSample, Input, Reason
+from models.messages import Array, AttitudePrior, ImuSample, Input, Reading, Reason
 from models.sim.beacons import Beacons, measure_ranges
-from models.sim.scenario import EPOCH_NS
+from models.sim.scenario import EPOCH_NS, Simulation
 from models.sim.sensors import GRADES, Imu
 from models.state import E
-from tests.estimator.scenes import Run, by_arrival, error, within
-from tests.scenarios.senses import HOME, Ride, loops, ride
+from tests import long
+from tests.estimator.filter.relative.odometers import poses
+from tests.estimator.scenes import Run, by_arrival, error, fly, position_errors, radii, simulated, within
+from tests.scenarios.senses import HOME, Ride, barometer, loops, ride, velocity_body
 
 CONFIG = FusionConfig(imu=GRADES["hobby"].noise, origin=HOME.lla)
 BEACONS = Beacons()
@@ -96,3 +99,114 @@ def test_given_an_attitude_of_the_autopilot_a_quarter_turn_off_then_motion_refut
     moving = within(run.aligned, 15.0, DARK_S)
     assert np.degrees(max(np.linalg.norm(error(e, journey.truth)[E.THETA]) for e in moving)) < 3.0
     assert np.linalg.norm(error(within(run.aligned, END_S - 1.0, END_S)[-1], journey.truth)[E.P]) < 20.0
+
+
+FIXES = """
+duration_s = 60.0
+geographic = false
+[vehicle]
+kind = "multirotor"
+seed = 0
+[imu]
+rate_hz = 50.0
+[pose_fix]
+outages_s = [[40.0, 50.0]]
+"""
+RECEIVER = FIXES.replace("geographic = false", "").replace("[[40.0, 50.0]]", "[[10.0, 60.0]]") + "[gnss]\n"
+FALSE_VELOCITIES: dict[str, Callable[[Array, float], Array]] = {
+    "half of it": lambda v, _: 0.5 * v,
+    "biased": lambda v, _: v + np.array([0.5, 0.3, 0.0]),
+    "drifts": lambda v, t_s: v + np.array([0.05 * t_s, 0.0, 0.0]),
+    "drifts since 25 s": lambda v, t_s: v + np.array([0.05 * max(t_s - 25.0, 0.0), 0.0, 0.0]),
+    "swings": lambda v, t_s: v + np.array([0.5 * math.sin(t_s), 0.5 * math.cos(t_s), 0.0]),
+    "turned": lambda v, _: np.array([v[1], -v[0], v[2]]),
+}
+
+
+@pytest.fixture(scope="module")
+def lit() -> Simulation:
+    return simulated(FIXES)
+
+
+def _velocities(flight: Simulation, false: Callable[[Array, float], Array], late_s: float = 0.0) -> list[Input]:
+    readings: list[Input] = []
+    for r in velocity_body(flight.truth):
+        assert isinstance(r, Reading)
+        x, y, z = false(np.array(r.values), _seconds(r.t_ns)).tolist()
+        t_ns = r.t_ns + round(late_s * 1e9)
+        readings.append(replace(r, t_ns=t_ns, arrived_ns=t_ns, values=(x, y, z)))
+    return readings
+
+
+def _flown(flight: Simulation, readings: list[Input]) -> tuple[float, float, float]:
+    """RMS error beside fixes, largest error in the dark [m], share of the time inside the 95 % radius."""
+    run = fly(flight, messages=by_arrival([*flight.messages, *readings]))
+    assert run.internal_errors() == []
+    beside = [*within(run.aligned, 10.0, 40.0, every=5), *within(run.aligned, 52.0, 60.0, every=5)]
+    dark = within(run.aligned, 40.0, 50.0, every=5)
+    off = position_errors([*beside, *dark], flight.truth)
+    inside = float(np.mean(off < radii([*beside, *dark])))
+    return float(np.sqrt(np.mean(off[: len(beside)] ** 2))), float(off[len(beside) :].max()), inside
+
+
+@long.parametrize("kind", FALSE_VELOCITIES, one_in=3)
+def test_given_a_velocity_that_is_wrong_then_fixes_refute_it(lit: Simulation, kind: str) -> None:
+    """Half of it was followed in the dark: 31 m off at a radius of 10 m."""
+    without_m, dark_m, _ = _flown(lit, [])
+    rms_m, wrong_m, inside = _flown(lit, _velocities(lit, FALSE_VELOCITIES[kind]))
+    assert rms_m < 2.0 * without_m
+    assert wrong_m < dark_m + 5.0
+    assert inside > 0.9
+
+
+def test_given_a_velocity_that_is_late_then_fixes_are_not_locked_out(lit: Simulation) -> None:
+    """Half a second: true fixes were refused, 4 m off."""
+    without_m, _, _ = _flown(lit, [])
+    rms_m, _, inside = _flown(lit, _velocities(lit, lambda v, _: v, late_s=0.5))
+    assert rms_m < 2.0 * without_m
+    assert inside > 0.9
+
+
+def test_given_a_right_velocity_then_it_bridges_the_dark(lit: Simulation) -> None:
+    without_m, dark_m, _ = _flown(lit, [])
+    rms_m, with_m, inside = _flown(lit, _velocities(lit, lambda v, _: v))
+    assert (rms_m, with_m) < (without_m, dark_m)
+    assert inside > 0.9
+
+
+def _drifting(flight: Simulation) -> list[Input]:
+    """An odometry that drifts by 0.2 m/s since 25 s."""
+    found: list[Input] = []
+    for o in poses(flight, 5.0, 59.9):
+        x, y, z = o.p_o
+        found.append(replace(o, p_o=(x + 0.2 * max(_seconds(o.t_ns) - 25.0, 0.0), y, z)))
+    return found
+
+
+def test_given_an_odometry_that_drifts_then_fixes_refute_it(lit: Simulation) -> None:
+    """Followed, it moves the estimate between fixes by twice their error, and by 1.4 m in the dark."""
+    without_m, dark_m, _ = _flown(lit, [])
+    rms_m, wrong_m, inside = _flown(lit, _drifting(lit))
+    assert rms_m < 1.5 * without_m
+    assert wrong_m < dark_m + 1.0
+    assert inside > 0.9
+
+
+@pytest.mark.parametrize("sensor", ["baro", "velocity_body", "odometry"])
+def test_given_a_sensor_that_contradicts_the_receiver_alone_then_the_covariance_covers_both(sensor: str) -> None:
+    """Either may be wrong. Followed, the barometer led 12 m off, outside a quarter of the time; odometry 4 m, three quarters."""
+    flight = simulated(RECEIVER)
+    if sensor == "odometry":
+        readings = _drifting(flight)
+    elif sensor == "velocity_body":
+        readings = _velocities(flight, FALSE_VELOCITIES["drifts since 25 s"])
+    else:
+        readings = [
+            replace(r, values=(r.values[0] - 12.0 * max(_seconds(r.t_ns) - 25.0, 0.0),))  # 1 m/s up
+            for r in barometer(flight.truth)
+            if isinstance(r, Reading)
+        ]
+    run = fly(flight, messages=by_arrival([*flight.messages, *readings]))
+    assert run.internal_errors() == []
+    late = within(run.aligned, 25.0, 59.9, every=5)
+    assert np.mean(position_errors(late, flight.truth) < radii(late)) > 0.9

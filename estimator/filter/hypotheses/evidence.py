@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from estimator.filter.eskf import Innovation
 from estimator.filter.hypotheses.follower import again_s
-from estimator.filter.hypotheses.hypothesis import MARGIN, Hypothesis
+from estimator.filter.hypotheses.hypothesis import MARGIN, SENSORS, Hypothesis
 from estimator.filter.hypotheses.mixture import ln_sum
 from estimator.sources.base.aid import Aid
 from estimator.sources.base.faults import lasts_s
@@ -49,8 +49,8 @@ def weighed(members: list[Hypothesis], aid: Aid, seen: list[Innovation], passed:
         default=-math.inf,
     )
     # A receiver is right or wrong in both: where its positions are doubted, its velocities are no evidence.
-    follow = [j for j, m in enumerate(members) if aid.receiver not in m.doubts]
-    by_receiver = _predicted(members, follow, seen) if len(follow) < len(members) else -math.inf
+    follow = [j for j, m in enumerate(members) if m.without != SENSORS and aid.receiver not in m.doubts]
+    by_receiver = _predicted(members, follow, seen) if any(aid.receiver in m.doubts for m in members) else -math.inf
     return Evidence(aid, seen, passed, again, doubted, by_receiver)
 
 
@@ -75,13 +75,14 @@ def _again(
         -(aid.t_ns - doubt.last_ns) * 1e-9 / (refused_s if aid.absolute and not doubt.deliberate else lasts) if doubt else 0.0
         for doubt in doubts
     ]
-    follow = [j for j, doubt in enumerate(doubts) if passed[j] and (doubt is None or (aid.absolute and not doubt.deliberate))]
+    predicts = [p and m.without != SENSORS for p, m in zip(passed, members, strict=True)]
+    follow = [j for j, doubt in enumerate(doubts) if predicts[j] and (doubt is None or (aid.absolute and not doubt.deliberate))]
     predicted = by_all = _predicted(members, follow, seen)
     if not aid.absolute:
         follow += [
             j
             for j, doubt in enumerate(doubts)
-            if passed[j] and doubt and not doubt.deliberate and predicted + fades[j] <= seen[j].log_likelihood + MARGIN
+            if predicts[j] and doubt and not doubt.deliberate and predicted + fades[j] <= seen[j].log_likelihood + MARGIN
         ]
         by_all = _predicted(members, follow, seen)
     again = [(predicted if fits else by_all) + fade for fits, fade in zip(passed, fades, strict=True)]

@@ -40,8 +40,7 @@ def begin(lead: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, limit: floa
     other.without, other.doubts = "", {}
     other.adopt(lead.filter.constants if lead.right is None else lead.right, doubts_imu=True)
     eskf = other.filter
-    for clone in list(eskf.clones):  # a kept pose may be wrong, too
-        eskf.forget(clone)
+    eskf.forget_clones()  # a kept pose may be wrong, too
     since_s = min(max((aid.t_ns - lead.fused_ns) * 1e-9, _UNSEEN_S), _FORGOTTEN_S)
     unknown = imu.unknown_motion(eskf.constants, since_s)
     eskf.cov[: E.SIZE, : E.SIZE] += _LIKELY * unknown

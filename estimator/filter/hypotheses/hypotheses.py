@@ -25,7 +25,7 @@ from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.hypotheses import follower, left_out
 from estimator.filter.hypotheses.evidence import Evidence, noisier, weighed
 from estimator.filter.hypotheses.follower import AGAIN_S
-from estimator.filter.hypotheses.hypothesis import FORGET, MARGIN, Doubt, Hypothesis
+from estimator.filter.hypotheses.hypothesis import FORGET, MARGIN, RUN_ENDS_S, SENSORS, Doubt, Hypothesis
 from estimator.filter.hypotheses.innovation import innovation
 from estimator.filter.hypotheses.left_out import LEFT_OUT_S
 from estimator.filter.hypotheses.mixture import covariance
@@ -42,22 +42,24 @@ _TINY = 1e-9
 
 
 class Verdict(NamedTuple):
-    """The leading hypothesis' answer; explained: a new follower fused what it refused."""
+    """The leading hypothesis' answer; explained: a new follower fused what it refused; wrong: sensors that it left."""
 
     seen: Innovation
     gate: float
     passed: bool
     fused: bool
     explained: bool = False
+    wrong: frozenset[str] = frozenset()
 
 
 class Hypotheses:
     """The filters in question; the first is the estimate.
 
-    switches: changes of the leading one; conflict_ns: start of a conflict of sources; disputed: those it rejects.
+    switches: changes of the leading one; conflict_ns: start of a conflict of sources; disputed: those it rejects; sensed: sensors
+    fused since one goes on without them.
     """
 
-    __slots__ = ("conflict_ns", "disputed", "members", "switches")
+    __slots__ = ("conflict_ns", "disputed", "members", "sensed", "switches")
 
     def __init__(
         self,
@@ -65,13 +67,14 @@ class Hypotheses:
         switches: int = 0,
         conflict_ns: int | None = None,
         disputed: frozenset[str] = frozenset(),
+        sensed: frozenset[str] = frozenset(),
     ) -> None:
         self.members, self.switches = members, switches
-        self.conflict_ns, self.disputed = conflict_ns, disputed
+        self.conflict_ns, self.disputed, self.sensed = conflict_ns, disputed, sensed
 
     def copy(self) -> "Hypotheses":
         """Independent hypotheses in the same state."""
-        return Hypotheses([h.copy() for h in self.members], self.switches, self.conflict_ns, self.disputed)
+        return Hypotheses([h.copy() for h in self.members], self.switches, self.conflict_ns, self.disputed, self.sensed)
 
     @property
     def lead(self) -> Eskf:
@@ -105,6 +108,12 @@ class Hypotheses:
         for member in self.members:
             member.filter.variance_factor = variance_factor
 
+    def expire(self, t_ns: int) -> None:
+        """Without positions the one without sensors shows nothing."""
+        for member in self.members[1:]:
+            if member.without == SENSORS and (t_ns - member.fused_ns) * 1e-9 > RUN_ENDS_S:
+                self.members.remove(member)
+
     def forget(self, block: str) -> None:
         """No filter takes the slow error `block` into account any more."""
         for member in self.members:
@@ -124,9 +133,11 @@ class Hypotheses:
         passed = [s.distance2 <= limit for s in seen]
         if not trusted:
             return Verdict(seen[0], limit, passed[0], fused=False)
+        if passed[0] and aid.is_sensor:
+            self.sensed |= {aid.topic}
         if not aid.weighs:
             for member, by_member, fits in zip(self.members, seen, passed, strict=True):
-                if fits:
+                if fits and member.without != SENSORS:
                     member.filter.update(by_member)
             return Verdict(seen[0], limit, passed[0], passed[0])
         left_out.end(self.members[0], aid, passed=passed[0])
@@ -155,8 +166,13 @@ class Hypotheses:
             left_out.add_at_fix(self.members, at_fix, aid)
         if aid.absolute and fused[0] and self.members[0].doubts_imu:
             self.members.append(follower.with_imu_right(self.members[0], aid.t_ns))
+        if self.sensed and fused[0] and left_out.add_unaided(self.members, aid):
+            self.sensed = frozenset()
         self._rank(aid.t_ns, newborn)
-        return Verdict(seen[0], limit, passed[0], fused[0], explained)
+        wrong = frozenset[str]()
+        if self.members[0].without == SENSORS:
+            self.members[0].without, wrong, self.sensed = "", self.sensed, wrong
+        return Verdict(seen[0], limit, passed[0], fused[0], explained, wrong)
 
     def _is_predicted(self, aid: Aid, passed: list[bool]) -> bool:
         return passed[0] or any(p and aid.topic not in m.doubts for p, m in zip(passed, self.members, strict=True))
@@ -173,12 +189,12 @@ class Hypotheses:
             fused[k] = self._answer(k, e, born, lead_refuses=k > 0 and not fused[0])
             return member.weight - before
 
-        following = [k for k, m in enumerate(self.members) if m.without != aid.witness and aid.witness not in m.doubts]
-        gained = {k: answer(k) for k, m in enumerate(self.members) if m.without != aid.witness}
+        following = [k for k, m in enumerate(self.members) if not m.omits(aid) and aid.witness not in m.doubts]
+        gained = {k: answer(k) for k, m in enumerate(self.members) if not m.omits(aid)}
         by_others = gained[0] if 0 in gained else max((gained[k] for k in following), default=None)
         for k, member in enumerate(self.members):
             if k in gained:
-                self._limit(k, aid, gained, fused)
+                self._limit(k, e, gained, fused)
                 doubt = member.doubts.get(aid.topic)
                 if k and 0 in gained and not fused[0] and not fused[k] and doubt and doubt.deliberate:
                     member.weight += min(0.0, gained[0] - gained[k])  # false to both: no evidence between them
@@ -190,12 +206,23 @@ class Hypotheses:
                 member.parted_ns = aid.t_ns
         return fused
 
-    def _limit(self, k: int, aid: Aid, gained: dict[int, float], fused: list[bool]) -> None:
-        member = self.members[k]
-        if k == 0 or not member.without or not aid.absolute:
+    def _limit(self, k: int, e: Evidence, gained: dict[int, float], fused: list[bool]) -> None:
+        aid, lead, member = e.aid, self.members[0], self.members[k]
+        if k == 0 or not member.without:
             return
-        member.weight += min(0.0, gained.get(0, 0.0) - math.log(aid.rules.false_share) - gained[k])
-        member.benefit = float(not fused[0] and (fused[k] or bool(member.benefit)) and not self._is_decided(aid))
+        by_lead = gained.get(0, 0.0)
+        if member.without == SENSORS:
+            before = member.weight - gained[k] - (lead.weight - by_lead)
+            nearer = 0.5 * (e.seen[0].distance2 - e.seen[k].distance2)
+            member.weight = lead.weight + left_out.unaided(member, aid, before, gained[k] - by_lead, nearer)
+            shows = member.weight > lead.weight + member.least + _LEAST_DOUBT
+            member.benefit = _TINY if shows else 0.0  # it counts by its weight
+        elif aid.absolute:
+            member.weight += min(0.0, by_lead - math.log(aid.rules.false_share) - gained[k])
+            member.benefit = float(not fused[0] and (fused[k] or bool(member.benefit)) and not self._is_decided(aid))
+        elif aid.is_sensor:
+            before = member.weight - gained[k] - (lead.weight - by_lead)
+            member.weight = min(member.weight, lead.weight + max(before, 0.0))  # two witnesses: either may be wrong
 
     def leave(self, topic: str) -> None:
         """The receiver is found wrong: the hypothesis without it leads, if any."""
@@ -248,7 +275,7 @@ class Hypotheses:
             return False
         if passed:
             margin = max(true - aid.log_false, _LEAST_DOUBT)
-            if aid.absolute and margin < FORGET and member.weight + true - margin > e.doubted:
+            if aid.absolute and member.without != SENSORS and margin < FORGET and member.weight + true - margin > e.doubted:
                 sceptic = member.copy()
                 sceptic.weight += true - margin
                 sceptic.benefit = max(margin + math.log(aid.rules.false_share), 0.0) if aid.resembles else 0.0
@@ -307,7 +334,10 @@ class Hypotheses:
             member.weight -= top
         for member in kept:
             member.weight = max(member.weight, member.least)
-            member.benefit = max(-member.weight, _TINY) if member.benefit else 0.0  # in a conflict it counts like the leading one
+            if member.without != SENSORS:
+                member.benefit = (
+                    max(-member.weight, _TINY) if member.benefit else 0.0
+                )  # in a conflict it counts like the leading one
         self._note_conflict(t_ns)
 
     def _note_conflict(self, t_ns: int) -> None:

@@ -8,11 +8,13 @@ import numpy as np
 from msgspec.structs import replace
 
 from estimator.filter.eskf import Eskf
+from estimator.sources.base.aid import Aid
 from models import imu
 from models.messages import Array
 from models.state import E, X
 
 IMU_WRONG, RECEIVER_WRONG, FIX_FALSE, POSITION_WRONG = "IMU wrong", "receiver wrong", "fix false", "position wrong"
+SENSOR_WRONG, SENSORS = "sensor wrong", "sensors"  # left out together: all but positions and receivers
 MARGIN = 3.0  # ln: by which another must be better
 FORGET = 20.0  # ln: further behind the leading one than this, a hypothesis is dropped
 _SHOWS = 9.2  # ln 10,000: further behind, the covariance leaves it out; a gate refuses one in as many good readings
@@ -106,6 +108,10 @@ class Hypothesis(msgspec.Struct, eq=False):
         if self.past and self.past.share(t_ns) < _LEAST_SHARE:
             self.past = None
 
+    def is_established(self, t_ns: int) -> bool:
+        """Its run of fixes is longer than a false one."""
+        return (t_ns - self.run_ns) * 1e-9 >= _LEAST_IMU_S
+
     def note_jump(self, from_n: Array, t_ns: int) -> None:
         """A fix that its last ones contradict has moved it from from_n (3,) [m], by more than two sigma."""
         run_s, off = (self.fused_ns - self.run_ns) * 1e-9, from_n - self.filter.x[X.P]
@@ -123,10 +129,14 @@ class Hypothesis(msgspec.Struct, eq=False):
     def assumes(self) -> str:
         """Its assumption: what is wrong if it is right."""
         if self.without:
-            return RECEIVER_WRONG
+            return SENSOR_WRONG if self.without == SENSORS else RECEIVER_WRONG
         if self.doubts_imu:
             return IMU_WRONG
         return FIX_FALSE if any(doubt.deliberate for doubt in self.doubts.values()) else POSITION_WRONG
+
+    def omits(self, aid: Aid) -> bool:
+        """It leaves out the source of this reading."""
+        return self.without == aid.witness or (self.without == SENSORS and aid.is_sensor)
 
     def omits_more_than(self, lead: "Hypothesis") -> bool:
         """It leaves out a receiver that the leading hypothesis uses."""

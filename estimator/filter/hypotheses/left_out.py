@@ -1,14 +1,17 @@
-"""Hypotheses without a receiver, which may be misled for minutes (docs/decision.md).
+"""Hypotheses without a receiver, which may be misled for minutes, or without all sensors and odometry (docs/decision.md).
 
 Replaced by a copy of the leading hypothesis at each fix that this one predicts better; one begins at a fix that no hypothesis
 takes, and is dropped where the next does not follow (wrong unit). An omitted receiver returns once its positions agree, its
-velocities not before. (Solution separation: Blanch et al. 2015, sec. IV.)
+velocities not before. The one without sensors stays apart from the leading one, whose biases they move.
+(Solution separation: Blanch et al. 2015, sec. IV.)
 """
+
+import math
 
 import numpy as np
 
 from estimator.filter.eskf import Innovation
-from estimator.filter.hypotheses.hypothesis import RUN_ENDS_S, Doubt, Hypothesis
+from estimator.filter.hypotheses.hypothesis import RUN_ENDS_S, SENSORS, Doubt, Hypothesis
 from estimator.filter.hypotheses.innovation import innovation
 from estimator.sources.base.aid import Aid
 from models.measurements import Measurement
@@ -18,6 +21,7 @@ from models.state import E
 LEFT_OUT_S = 60.0  # without a fix for so long, a hypothesis without the receiver no longer serves
 _PULL_M_S = 2.0  # by which a misled receiver may have moved the velocity
 _UNAIDED_S = 10.0  # without a fix for so long, a receiver that agrees is better than none
+_SENSOR_WRONG = math.log(0.01)  # one of the sensors is wrong
 _AGREED_S = 10.0  # of positions that pass the gate, after which a receiver is followed again
 
 
@@ -40,6 +44,32 @@ def add_at_fix(members: list[Hypothesis], at_fix: Hypothesis, aid: Aid) -> None:
         members.append(_without(at_fix, *receiver, aid.t_ns))
         members[-1].weight += members[0].weight
         members[-1].benefit = members[0].weight - members[-1].weight  # until the next fix both count alike
+
+
+def add_unaided(members: list[Hypothesis], aid: Aid) -> bool:
+    """Whether one without sensors is added, at a fix that the leading one fuses."""
+    if not aid.absolute or members[0].without or any(m.without == SENSORS for m in members):
+        return False
+    other = members[0].copy()
+    other.filter.forget_clones()
+    other.weight = other.least = _SENSOR_WRONG
+    other.without, other.parted_ns = SENSORS, aid.t_ns
+    members.append(other)
+    return True
+
+
+def unaided(member: Hypothesis, aid: Aid, before: float, gained: float, nearer: float) -> float:
+    """ln weight of the one without sensors, relative to the leading one, after a reading.
+
+    before: it; gained: ln N(nu; 0, S) - ln N(nu_0; 0, S_0); nearer: (nu_0^T S_0^-1 nu_0 - nu^T S^-1 nu) / 2. A receiver is one
+    witness against the sensors: it raises no weight above 0, nor by the smaller S that its lasting error leaves.
+    """
+    if not member.is_established(aid.t_ns):
+        return member.least
+    gained = min(gained, -math.log(aid.rules.false_share))
+    if aid.geodetic or aid.receiver:
+        gained = min(gained, nearer, max(-before, 0.0))
+    return before + gained
 
 
 def moved(lead: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, seen: Innovation) -> Hypothesis:
@@ -90,7 +120,7 @@ def end(lead: Hypothesis, aid: Aid, *, passed: bool) -> None:
 def has_jumped(members: list[Hypothesis], aid: Aid) -> bool:
     """Whether a fix that all refuse contradicts the last ones of its source, without a break: that is no fault of a receiver."""
     for member in members:
-        if member.without and member.without != aid.witness:
+        if member.without and member.without not in {aid.witness, SENSORS}:
             doubt = member.doubts.get(aid.topic)
             last_ns = max(member.fused_ns, doubt.last_ns) if doubt else member.fused_ns
             return (aid.t_ns - last_ns) * 1e-9 < RUN_ENDS_S
@@ -110,13 +140,15 @@ def begin_again(
     for member, was_fused, by_member in [*zip(members, fused, seen, strict=True)][1:]:
         if not member.without or member.without == aid.witness:
             continue
-        if was_fused and not (fused[0] and seen[0].log_likelihood >= by_member.log_likelihood):
+        if was_fused and not (member.without != SENSORS and fused[0] and seen[0].log_likelihood >= by_member.log_likelihood):
             member.begun_at_fix = False
         elif member.begun_at_fix and not was_fused:  # fixes that do not follow from one another are no evidence
             members[0].refuted_ns = aid.t_ns
             members.remove(member)
-        elif right is not None:
+        elif right is not None and (fused[0] or member.without != SENSORS):
             member.filter, member.right = right.filter.copy(), right.right
+            if member.without == SENSORS:
+                member.filter.forget_clones()
             member.fused_ns, member.begun_at_fix = aid.t_ns, not fused[0]
             if member.begun_at_fix:
                 member.benefit = members[0].weight - member.weight  # until the next fix both count alike

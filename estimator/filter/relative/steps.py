@@ -11,7 +11,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from estimator.filter.eskf import Innovation
-from estimator.filter.hypotheses import Hypotheses, clone_of, innovation
+from estimator.filter.hypotheses import SENSORS, Hypotheses, clone_of, innovation
 from estimator.filter.relative import drift
 from estimator.sources import odometry
 from estimator.sources.base.gating import gate
@@ -81,7 +81,8 @@ def _keep(bank: Hypotheses, aid: OdometryAid, before: Kept | None, now: Kept) ->
         for block in stale:
             if block in member.filter.slow.columns:
                 member.filter.forget(block)
-        member.filter.keep_pose(clone_of(aid.topic))
+        if member.without != SENSORS:
+            member.filter.keep_pose(clone_of(aid.topic))
     return now
 
 
@@ -115,8 +116,10 @@ def _judge(bank: Hypotheses, aid: OdometryAid, end: Increment, kept: Kept, state
         _fuse(bank, aid, z, seen, passed)
         if passed[0]:
             noise = noise.fused(first.hp[:, E.V], first.s, seconds)
+            bank.sensed |= {aid.topic}
             for member in bank.members:
-                drift.hide(member.filter, velocity, noise.hidden_m_s)
+                if member.without != SENSORS:
+                    drift.hide(member.filter, velocity, noise.hidden_m_s)
     state = replace(state, noise=noise)
     sigma_m_s = drift.sigma_m_s(bank.lead, velocity)
     for member in bank.members:
@@ -164,4 +167,5 @@ def _fuse(bank: Hypotheses, aid: OdometryAid, z: RelativePose, seen: list[Innova
             member.filter.update(s)
         if was_passed != passed[0]:
             member.parted_ns = aid.t_ns
-    bank.weigh(aid.t_ns, [0.0 if t is None else max(t - best, -_MOST_SAID) for t in said])
+    gained = [0.0 if t is None else max(t - best, -_MOST_SAID) for t in said]
+    bank.weigh(aid.t_ns, [gained[0] if m.without == SENSORS else g for m, g in zip(bank.members, gained, strict=True)])

@@ -61,6 +61,11 @@ class Aid(msgspec.Struct, frozen=True, eq=False):
         return True
 
     @property
+    def is_sensor(self) -> bool:
+        """Neither a position nor of a receiver."""
+        return not self.absolute and self.receiver is None
+
+    @property
     def resembles(self) -> bool:
         """Searched for at the expected position: a good fit proves little."""
         return self.kind == "pose"

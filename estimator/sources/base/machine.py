@@ -17,7 +17,9 @@ from estimator.sources.base.rules import Rules
 from models.messages import Array
 
 _NEVER = -(2**62)
+_AGREED_S, _LEAST_SPACING_S, _DOUBLED = 10.0, 0.1, 3  # how long a refuted sensor has to agree, and how often that doubles
 CUSUM_SLACK, _CUSUM_LIMIT = 1.0, 10.0  # sigma: bias of the innovations that is tolerated; the sum at which a source is rejected
+_REFUTED_SLACK = 0.5  # bias that is tolerated where a refuted sensor has to agree
 
 
 class Phase(StrEnum):
@@ -40,6 +42,7 @@ class SourceState(msgspec.Struct, frozen=True):
     sums: tuple[float, ...] = ()
     failed_ns: int = _NEVER  # first gate that failed since the last reading that was fused
     is_refuted: bool = False  # gates failed for longer than hold_s, while positions confirmed the estimate
+    refutations: int = 0  # by positions
     spoofed_ns: int = _NEVER  # last reading whose receiver reported spoofing
     false_share: float = 0.0  # of its last reading
     spread_m: tuple[float, float] = (math.inf, 0.0)  # of odometry: smallest and largest sigma of late, fading since last_ns
@@ -55,7 +58,9 @@ class SourceState(msgspec.Struct, frozen=True):
             phase = Phase.STOPPED
         elif t_ns > self.silent_ns or (phase is Phase.STOPPED and t_ns >= self.held_until_ns):
             phase, passed, sums = Phase.STARTING, 0, ()
-        if phase is Phase.STARTING and (passed >= rules.probation or (alone and t_ns >= self.held_until_ns)):
+        again = math.ceil(self.agrees_s / max(rules.spacing_s, _LEAST_SPACING_S)) if self.is_refuted else 0
+        probation = max(rules.probation, again)
+        if phase is Phase.STARTING and (passed >= probation or (alone and t_ns >= self.held_until_ns)):
             phase = Phase.ACTIVE
         silent_ns = t_ns + round(rules.timeout_s * 1e9)
         return SourceState(
@@ -68,6 +73,7 @@ class SourceState(msgspec.Struct, frozen=True):
             sums,
             failed_ns=self.failed_ns,
             is_refuted=self.is_refuted,
+            refutations=self.refutations,
             spoofed_ns=self.spoofed_ns,
             false_share=rules.false_share,
         )
@@ -81,6 +87,16 @@ class SourceState(msgspec.Struct, frozen=True):
         hold_ns, since_ns = round(rules.hold_s * 1e9), max(self.failed_ns, 0) or t_ns
         is_refuted = self.is_refuted or (not alone and 0 < hold_ns < t_ns - since_ns)
         return replace(self, phase=Phase.STOPPED, held_until_ns=t_ns + hold_ns, failed_ns=since_ns, is_refuted=is_refuted)
+
+    def refuted(self, t_ns: int) -> "SourceState":
+        """Positions show that it is wrong."""
+        again = self.refutations + 1
+        return replace(self, phase=Phase.STOPPED, held_until_ns=t_ns, passed=0, sums=(), is_refuted=True, refutations=again)
+
+    @property
+    def agrees_s(self) -> float:
+        """So long a refuted sensor has to agree: 10 s, then 20, 40 and 80."""
+        return _AGREED_S * 2.0 ** min(max(self.refutations - 1, 0), _DOUBLED)
 
     def spoofed(self, rules: Rules, t_ns: int) -> "SourceState":
         """The receiver reports spoofing: held off, then on probation."""
@@ -96,7 +112,9 @@ class SourceState(msgspec.Struct, frozen=True):
         """
         state = replace(self, fused_ns=t_ns, failed_ns=_NEVER, is_refuted=False) if fused else self
         if state.phase is Phase.STARTING:
-            return replace(state, passed=state.passed + 1 if passed else 0)
+            sums = cusum(state.sums, nu, sigma, _REFUTED_SLACK) if state.is_refuted else ()
+            agrees = passed and max(sums, default=0.0) <= _CUSUM_LIMIT
+            return replace(state, passed=state.passed + 1, sums=sums) if agrees else replace(state, passed=0, sums=())
         if rules.hold_s > 0 and fused and not alone:
             sums = cusum(state.sums, nu, sigma, CUSUM_SLACK)
             found_out = max(sums) > _CUSUM_LIMIT
