@@ -31,6 +31,7 @@ class Console:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="console", daemon=True)
         self._mode: Mode | None = None
+        self._detail = ""
         self._alert = Alert.NOT_JUDGED
         self._estimated = False
         self._silent_ns: int | None = None  # since when there is no IMU; 0: said
@@ -73,7 +74,8 @@ class Console:
         if health.mode is not self._mode:
             self._mode = health.mode
             radius = "" if health.mode in _NO_ESTIMATE_YET else f", 95 % radius {health.radius95_m:.1f} m"
-            detail = f": {health.detail}" if health.detail else ""
+            detail = f": {health.detail}" if health.detail not in {"", self._detail} else ""
+            self._detail = health.detail
             self.say(f"mode: {health.mode.value}{radius}{detail}")
         if health.mode not in _NO_IMU:
             self._silent_ns = None

@@ -11,9 +11,9 @@ from models.messages import AidStatus, Health, Mode, Reason
 S = 10**9
 
 
-def _health(s: float, mode: Mode) -> Health:
+def _health(s: float, mode: Mode, detail: str = "") -> Health:
     t_ns = 1000 * S + round(s * S)
-    return Health(t_ns, t_ns, mode, float("inf"), float("inf"), 180.0, 0, {}, {}, 0)
+    return Health(t_ns, t_ns, mode, float("inf"), float("inf"), 180.0, 0, {}, {}, 0, detail=detail)
 
 
 @pytest.fixture
@@ -33,6 +33,13 @@ def test_an_imu_that_is_silent_for_3_s_is_said_once_and_again_after_it_came_back
     for k in range(10):
         console.note(_health(12.0 + 0.5 * k, mode))
     assert sum("no IMU sample for 3 s" in line for line in said) == 2
+
+
+def test_why_it_began_again_is_said_once(said: list[str]) -> None:
+    console = Console(quiet=False)
+    for k, mode in enumerate((Mode.STARTING, Mode.AIDED, Mode.DEAD_RECKONING)):
+        console.note(_health(k, mode, "the attitude was lost; aligning again"))
+    assert [line.count("aligning again") for line in said] == [1, 0, 0]
 
 
 def test_the_first_malformed_message_of_a_topic_is_said_and_the_rest_are_counted(said: list[str], tmp_path: Path) -> None:
