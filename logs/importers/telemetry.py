@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from pymavlink import mavutil
@@ -50,7 +50,7 @@ _FAR_US = 4e15  # beyond any date; a damaged stamp may be
 _CLOCK_SET_US = 30e6
 _AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
 _REBOOT_US = 5e6  # stamps that fall by more
-_MOST_IN_A_ROW = 100_000  # damaged messages, as a file of zeros has
+_MOST_DAMAGED = 1 << 20  # bytes without a message, as a block of zeros has
 _BEGINNING = 1 << 24  # bytes: a file may begin with a block of zeros, as one does that was not written to its end
 _FRAME = re.compile(rb"\x00[\x03-\x07][\x00-\xff]{6}[\xfd\xfe]")  # time of arrival [us] of 1997 to 2041, then a frame
 
@@ -72,19 +72,18 @@ class Table:
 
 
 def messages_of(source: Path, progress: Progress | None) -> tuple[dict[str, Array], int, int]:
-    """Rows (arrived_us, stamp_us, number, *fields); autopilot; number damaged, of which 100,000 in a row end the log."""
+    """Rows (arrived_us, stamp_us, number, *fields); autopilot; number damaged. A MiB without a message ends the log."""
     rows: dict[int, dict[str, dict[int, list[list[float]]]]] = {}  # system, message, component
     autopilots: dict[int, tuple[int, int]] = {}  # system -> component, kind
-    total = damaged = in_a_row = 0
+    total = damaged = 0
     with closing(_open(source)) as log:
         while (message := log.recv_msg()) is not None:
             name, total = message.get_type(), total + 1
-            in_a_row = in_a_row + 1 if name == "BAD_DATA" else 0
-            if in_a_row > _MOST_IN_A_ROW:
-                break
             if name == "BAD_DATA":
                 damaged += 1
-            elif name == "HEARTBEAT" and message.autopilot != _NOT_A_VEHICLE:
+                continue
+            log.f.unread = 0
+            if name == "HEARTBEAT" and message.autopilot != _NOT_A_VEHICLE:
                 autopilots[message.get_srcSystem()] = message.get_srcComponent(), message.autopilot
             elif name in FIELDS and not (name == "ODOMETRY" and message.estimator_type not in SEEN_FROM_OUTSIDE):
                 fields = _values(message)
@@ -100,6 +99,21 @@ def messages_of(source: Path, progress: Progress | None) -> tuple[dict[str, Arra
     system = max(rows, key=lambda s: sum(len(r) for components in rows[s].values() for r in components.values()))
     component, autopilot = autopilots.get(system, (_AUTOPILOT, _NOT_A_VEHICLE))
     return {name: np.array(_of(component, r), float) for name, r in rows[system].items()}, autopilot, damaged
+
+
+class _Watched:
+    """A file that ends where _MOST_DAMAGED bytes are read without a message: pymavlink seeks the next one byte by byte."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file, self.unread = file, 0
+
+    def read(self, size: int) -> bytes:
+        data = b"" if self.unread > _MOST_DAMAGED else self._file.read(size)
+        self.unread += len(data)
+        return data
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._file, name)
 
 
 def _values(message: Any) -> list[float]:
@@ -126,6 +140,7 @@ def _open(source: Path) -> Any:
         log: Any = mavutil.mavlogfile(str(source))
     except OSError as error:
         raise LogError(f"{source}: {error.strerror}") from None
+    log.f = _Watched(log.f)
     if frame is not None:
         log.f.seek(frame.start())
     return log

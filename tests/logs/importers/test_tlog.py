@@ -476,6 +476,17 @@ def test_a_file_of_a_terabyte_of_zeros_comes_to_an_end(tmp_path: Path) -> None:
         tlog.read(path)
 
 
+def test_a_log_with_a_terabyte_of_zeros_behind_it_is_read(tmp_path: Path) -> None:
+    """The reader seeks the next stamp byte by byte."""
+    ground = Ground()
+    for k in range(50):
+        ground.imu(k * 10_000, 5_000_000 + k * 10_000)
+    path = ground.write(tmp_path)
+    with path.open("r+b") as file:
+        file.truncate(2**40)
+    assert len(tlog.read(path)) == 50
+
+
 @pytest.mark.parametrize("size", [1, 53_000])
 def test_a_block_of_zeros_before_the_first_frame_is_passed_over(size: int, tmp_path: Path) -> None:
     """Of MAVLink 2, whose version the reader takes from the first bytes of the file."""
