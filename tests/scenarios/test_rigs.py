@@ -109,6 +109,7 @@ def test_a_rig_finds_its_position_and_holds_it(file: Path) -> None:
         *config.inputs.imu,
         *Inputs().pose_fix,
         *Inputs().attitude,
+        *Inputs().rest,
         *Inputs().left_image,
         *Inputs().right_image,
     }
