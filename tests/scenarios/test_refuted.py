@@ -11,7 +11,7 @@ from estimator.fusion import Fusion, FusionConfig
 from estimator.sources.beacon import BeaconConfig
 from estimator.sources.rest import RestConfig
 from models import so3
-from models.messages import Array, AttitudePrior, ImuSample, Input, Reading, Reason
+from models.messages import Array, AttitudePrior, GnssFix, ImuSample, Input, Reading, Reason
 from models.sim.beacons import Beacons, measure_ranges
 from models.sim.scenario import EPOCH_NS, Simulation
 from models.sim.sensors import GRADES, Imu
@@ -210,3 +210,38 @@ def test_given_a_sensor_that_contradicts_the_receiver_alone_then_the_covariance_
     assert run.internal_errors() == []
     late = within(run.aligned, 25.0, 59.9, every=5)
     assert np.mean(position_errors(late, flight.truth) < radii(late)) > 0.9
+
+
+def test_given_a_right_velocity_beside_the_receiver_alone_then_the_covariance_is_as_small_as_the_sensor_makes_it() -> None:
+    """The hypothesis without it fits the receiver's lasting error better: counted as evidence, that made the radius as large."""
+    flight = simulated(RECEIVER)
+    readings = _velocities(flight, lambda v, _: v)
+    runs = [fly(flight, messages=by_arrival([*flight.messages, *some])) for some in ([], readings)]
+    without, late = (within(run.aligned, 30.0, 59.9, every=5) for run in runs)
+    assert np.mean(radii(late)) < 0.5 * np.mean(radii(without))
+    assert (position_errors(late, flight.truth) < 2.0 * radii(late)).all()
+
+
+def test_given_a_receiver_that_is_off_for_a_while_then_a_right_velocity_is_not_refuted() -> None:
+    flight = simulated(RECEIVER)
+    off: list[Input] = [
+        replace(m, lat_deg=m.lat_deg + 1e-4) if isinstance(m, GnssFix) and 30.0 < _seconds(m.t_ns) < 45.0 else m  # 11 m
+        for m in flight.messages
+    ]
+    run = fly(flight, messages=by_arrival([*off, *_velocities(flight, lambda v, _: v)]))
+    late = position_errors(within(run.aligned, 25.0, 59.9, every=5), flight.truth)
+    assert np.sqrt(np.mean(late**2)) < 1.0
+    assert Reason.PROBATION not in {s.reason for s in run.last_words("/velocity_body").values()}
+
+
+def test_given_a_barometer_that_climbs_then_it_does_not_outweigh_the_receiver_of_a_wing() -> None:
+    """Otherwise it is 11 m off."""
+    flight = simulated(RECEIVER.replace("multirotor", "fixed_wing"), seed=2)
+    readings: list[Input] = [
+        replace(r, values=(r.values[0] - 12.0 * max(_seconds(r.t_ns) - 25.0, 0.0),))
+        for r in barometer(flight.truth)
+        if isinstance(r, Reading)
+    ]
+    run = fly(flight, messages=by_arrival([*flight.messages, *readings]))
+    late = position_errors(within(run.aligned, 25.0, 59.9, every=5), flight.truth)
+    assert np.sqrt(np.mean(late**2)) < 3.0

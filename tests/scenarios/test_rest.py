@@ -126,12 +126,15 @@ def test_given_a_false_landed_in_flight_then_the_estimate_is_as_without_it(
     """The IMU shows the sway, and the velocity the cruise. 1e-3: propagation in other steps, to the time of each word."""
     flight = ride(2.0, MOVES_S + 40.0, seed=4, path=_flying(speed_m_s, sway_m), imu=_imu())
     messages = _dark(flight.messages, BEGINS_S + 15.0, 1e9) if is_dark else flight.messages
-    told, untold = Run(Fusion(OFF)).feed(_landed(messages, 1.0, BEGINS_S + 6.0, BEGINS_S + 38.0)), Run(Fusion(OFF)).feed(messages)
-    said = told.reasons("rest")
+    landed, without = (
+        Run(Fusion(OFF)).feed(_landed(messages, 1.0, BEGINS_S + 6.0, BEGINS_S + 38.0)),
+        Run(Fusion(OFF)).feed(messages),
+    )
+    said = landed.reasons("rest")
     assert sum(said.values()) > 100
     assert Reason.FUSED not in said
     begin_s, end_s = BEGINS_S + 5.0, BEGINS_S + 38.0
-    assert _errors(told, flight, begin_s, end_s) == pytest.approx(_errors(untold, flight, begin_s, end_s), rel=1e-3)
+    assert _errors(landed, flight, begin_s, end_s) == pytest.approx(_errors(without, flight, begin_s, end_s), rel=1e-3)
 
 
 @long.parametrize("is_dark", [False, True], ids=["with GNSS", "without"])
