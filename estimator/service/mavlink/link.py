@@ -172,9 +172,10 @@ class MavlinkLink:
         has_none = self._local.place is None and self._clock.now_ns() - self._since_ns > _NO_ORIGIN_NS
         if not is_ardupilot and has_none:
             pose = ours  # PX4 without a place on Earth, indoors: its local frame is where odometry has it
-        elif has_none and estimate.origin is not None and self._policy.starts_without_gnss:
+        elif has_none and (origin := Origin.of(estimate.origin)) is not None and self._policy.starts_without_gnss:
             self._since_ns = self._clock.now_ns()
-            self._tell(codec.set_origin(estimate.origin, self._geoid_m, self._config.system))
+            here = codec.place(origin.to_geodetic(estimate.nav[X.P]), self._geoid_m)
+            self._tell(codec.set_origin(here, self._config.system))
         quality, usable = self._policy.quality(estimate, one_source_at_a_time=is_ardupilot) if pose else (-1, False)
         self._announce(estimate, quality, usable=usable, knows_frame=pose is not None)
         (p, q), self._quality = pose or ours, quality
