@@ -77,6 +77,13 @@ class Inputs(Topics, frozen=True, forbid_unknown_fields=True):
     odometry: Annotated[
         _Topics, Meta(description="topics of nav_msgs/msg/Odometry, in a frame of its own; none: no odometry is used")
     ] = _TOPICS.odometry
+    isaac_status: Annotated[
+        _Topics,
+        Meta(description="topics of isaac_ros_visual_slam_interfaces/msg/VisualSlamStatus, in the order of odometry; none: none"),
+    ] = _TOPICS.isaac_status
+    zed_status: Annotated[
+        _Topics, Meta(description="topics of zed_msgs/msg/PosTrackStatus, in the order of odometry; none: none")
+    ] = _TOPICS.zed_status
     odometry_delta: Annotated[
         _Topics,
         Meta(description="topics of landfix_msgs/msg/OdometryDelta, in addition to that of the cameras; none: no other"),

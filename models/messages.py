@@ -197,7 +197,7 @@ class OdometryDelta(msgspec.Struct, frozen=True, eq=False):
 
 
 class OdometryPose(msgspec.Struct, frozen=True, eq=False):
-    """Pose in a drifting odometry frame: x_o = R_ob x_b + p_o; a new frame name after a jump."""
+    """Pose in a drifting odometry frame: x_o = R_ob x_b + p_o; a new frame name after a jump. is_lost: there is none."""
 
     t_ns: int
     arrived_ns: int
@@ -205,6 +205,7 @@ class OdometryPose(msgspec.Struct, frozen=True, eq=False):
     q_ob_wxyz: Quat
     frame: str = "odom"
     topic: str = "/odometry"
+    is_lost: bool = False
 
 
 class AttitudePrior(msgspec.Struct, frozen=True, eq=False):
@@ -292,7 +293,7 @@ class Reason(StrEnum):
     NOT_FINITE = "not_finite"
     NOT_PSD = "not_psd"  # covariance is asymmetric or not positive definite
     UNSUPPORTED = "unsupported"  # this combination of given components is not a measurement
-    NO_FIX = "no_fix"  # the receiver says so
+    NO_FIX = "no_fix"  # the receiver or the odometry says so
     NO_ORIGIN = "no_origin"  # a geodetic measurement, and a map that is nowhere on Earth
     IMPLAUSIBLE = "implausible"  # wrong units, gravity missing, out of physical range
     UNKNOWN_TOPIC = "unknown_topic"

@@ -40,6 +40,7 @@ _NOTHING = 1e-14  # m^2, rad^2: keeps a covariance positive definite
 _DISPUTED, _DISPUTED_SIGMA = 3.5, 2.5  # of a sum: two such outliers alike; from then on nothing further off is fused
 _CLIP = 3.0  # sigma: a single outlier counts no more in the cumulative sum
 _JUMP_M, _JUMP_M_S2 = 0.15, 50.0  # poses that leave a straight line by more than this, or than any vehicle can, have jumped
+_SAME_NS = 1_000_000  # stamps of one image, by two messages
 WRONG = "its increments are off by more than noise: not used (scale, axes, stamps?)"
 _NO_ERRORS: tuple[SlowError, ...] = ()
 
@@ -100,8 +101,14 @@ class Posed(NamedTuple):
     config: OdometryConfig
 
 
+class Lost(NamedTuple):
+    """The odometry has no pose until until_ns; no increment spans it."""
+
+    until_ns: int
+
+
 class Kept(NamedTuple):
-    """The pose kept for a topic since t_ns, for increment `name` until until_ns.
+    """The pose kept for a topic since t_ns, for increment `name` until until_ns, until when there is none where it is lost.
 
     pose: in the odometry's frame; newest: last pose since, time, velocity, m/s.
     """
@@ -117,7 +124,7 @@ class Kept(NamedTuple):
 class OdometryAid(Aid, frozen=True, eq=False, kw_only=True):
     """An aid about the motion of the body."""
 
-    motion: Begins | Increment | Posed
+    motion: Begins | Increment | Posed | Lost
 
     @property
     def is_reported(self) -> bool:
@@ -158,7 +165,11 @@ def increment_aid(delta: OdometryDelta, config: OdometryConfig) -> Aid | Refusal
 
 
 def odometry_pose_aid(reading: OdometryPose, config: OdometryConfig) -> Aid | Refusal:
-    """A pose in the odometry's frame, for increments."""
+    """A pose in the odometry's frame, for increments, or that there is none."""
+    t_ns = reading.t_ns - round(config.delay_s * 1e9)
+    if reading.is_lost:
+        since_ns, lost = t_ns - _SAME_NS, Lost(t_ns + _SAME_NS)
+        return _aid(since_ns, reading, order(since_ns, "odometry", reading.topic, b"lost"), lost, "odometry")
     pose = np.array((*reading.p_o, *reading.q_ob_wxyz), dtype=float)
     if refusal := _motion_refusal(pose[:_XYZ], pose[_XYZ:], None, config):
         return refusal
@@ -174,7 +185,6 @@ def odometry_pose_aid(reading: OdometryPose, config: OdometryConfig) -> Aid | Re
             *_scale(reading.topic, dp, config),
         )
 
-    t_ns = reading.t_ns - round(config.delay_s * 1e9)
     place = order(t_ns, "odometry", reading.topic, pose.tobytes(), reading.frame.encode())
     return _aid(t_ns, reading, place, Posed(pose, reading.frame, since, config), "odometry", rows=rows)
 
@@ -183,7 +193,7 @@ def _aid(
     t_ns: int,
     message: OdometryDelta | OdometryPose,
     place: tuple[int, str, str, bytes],
-    motion: Begins | Increment | Posed,
+    motion: Begins | Increment | Posed | Lost,
     kind: str,
     errors: tuple[SlowError, ...] = _NO_ERRORS,
     begin: Aid | None = None,

@@ -84,7 +84,7 @@ def row(message: Input) -> tuple[str, tuple[float, ...]] | None:
         case PoseFix() | LandmarkFix():
             given = bool((np.diagonal(message.covariance)[3:] < _NOT_GIVEN_RAD2).all())
             return POSE, (*message.p_n, *(message.q_nb_wxyz if given else _NO_TURN))
-        case OdometryPose():
+        case OdometryPose() if not message.is_lost:
             return ODOMETRY, (*message.p_o, *message.q_ob_wxyz)
         case AttitudePrior():
             return ATTITUDE, message.q_nb_wxyz

@@ -202,14 +202,16 @@ def pose_fix(t_ns: Times, arrived_ns: Times, p_n: Array, q_nb_wxyz: Array, varia
     return Stream(topic, t_ns, arrived_ns, (p_n, q_nb_wxyz, variance), make)
 
 
-def odometry(t_ns: Times, arrived_ns: Times, p_o: Array, q_ob_wxyz: Array, run: Array, topic: str = "/odometry") -> Stream:
-    """OdometryPoses; p_o (n, 3) m, q_ob_wxyz (n, 4), nan rows dropped; run (n,): frame number."""
+def odometry(t_ns: Times, arrived_ns: Times, p_o: Array, q_ob_wxyz: Array, run: Array, quality: Array | None = None) -> Stream:
+    """OdometryPoses; p_o (n, 3) m, q_ob_wxyz (n, 4), nan rows dropped; run (n,): frame number; quality (n,): below 0, lost."""
+    quality = np.zeros(len(run)) if quality is None else quality
     rows = np.flatnonzero(np.isfinite(p_o).all(axis=1) & np.isfinite(q_ob_wxyz).all(axis=1))
 
-    def make(t: int, arrived: int, p: list[float], q: list[float], number: float) -> OdometryPose:
-        return OdometryPose(t, arrived, (p[0], p[1], p[2]), (q[0], q[1], q[2], q[3]), f"odom {number:.0f}", topic)
+    def make(t: int, arrived: int, p: list[float], q: list[float], number: float, level: float) -> OdometryPose:
+        at = (p[0], p[1], p[2]), (q[0], q[1], q[2], q[3])
+        return OdometryPose(t, arrived, *at, f"odom {number:.0f}", is_lost=level < 0.0)
 
-    return Stream(topic, t_ns[rows], arrived_ns[rows], (p_o[rows], q_ob_wxyz[rows], run[rows]), make)
+    return Stream("/odometry", t_ns[rows], arrived_ns[rows], (p_o[rows], q_ob_wxyz[rows], run[rows], quality[rows]), make)
 
 
 def attitude(t_ns: Times, arrived_ns: Times, q_nb_wxyz: Array, topic: str = ATTITUDE_TOPIC) -> Stream:

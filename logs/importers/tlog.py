@@ -246,13 +246,13 @@ def _odometry(tables: Mapping[str, Table], notes: list[str]) -> list[Stream]:
         notes.append(
             f"{other_axes.sum()} of {len(other_axes)} ODOMETRY left out: only BODY_FRD in LOCAL_FRD or LOCAL_NED is read"
         )
-    rows = np.flatnonzero(~other_axes & (table["quality"] >= 0.0))
+    rows = np.flatnonzero(~other_axes)
     if not len(rows):
         return []
     notes.append("poses from outside (ODOMETRY) are /odometry; the configuration says how to use them")
     run = 1000.0 * table["frame_id"] + table["reset_counter"]
     p, q = table.vector("x", "y", "z")[rows], table.vector(*Q)[rows]
-    return [recording.odometry(table.t_ns[rows], table.arrived_ns[rows], p, q, run[rows])]
+    return [recording.odometry(table.t_ns[rows], table.arrived_ns[rows], p, q, run[rows], table["quality"][rows])]
 
 
 def _camera(tables: Mapping[str, Table]) -> list[Stream]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from logs.wire import axes, cdr_fast, schemas
 from logs.wire.axes import ImuMounting
-from logs.wire.schemas import STORE
+from logs.wire.schemas import LOST_VARIANCE, STORE
 from logs.wire.sensors import SENSORS, Sensor, SensorTopics
 from models import so3
 from models.messages import (
@@ -50,7 +50,10 @@ TICK_TOPIC: Final = "/landfix/tick"  # a std_msgs/msg/Header: its stamp is the t
 _COVARIANCE_UNKNOWN: Final = 0  # sensor_msgs/msg/NavSatFix
 _STATES: Final = {state.value: state for state in ReceiverState}  # all bits of service set (15) is none of them
 _SECOND_NS: Final = 1_000_000_000
-_LOST: Final = 9999.0  # RTAB-Map's
+_LOST_STATES: Final = {  # of an odometry's status: field, and where there is no pose
+    schemas.ISAAC_STATUS: ("vo_state", {2, 3}),  # failed, refuted by the IMU
+    schemas.ZED_STATUS: ("odometry_status", {1, 2}),  # unavailable, too few features
+}
 
 
 class Topics(SensorTopics, frozen=True):
@@ -60,6 +63,8 @@ class Topics(SensorTopics, frozen=True):
     gnss: tuple[str, ...] = ("/gnss",)
     gnss_velocity: tuple[str, ...] = ("/gnss/velocity",)
     odometry: tuple[str, ...] = ()  # off until configured
+    isaac_status: tuple[str, ...] = ()
+    zed_status: tuple[str, ...] = ()
     odometry_delta: tuple[str, ...] = ()
     optical_flow: tuple[str, ...] = ()
     attitude: tuple[str, ...] = (ATTITUDE_TOPIC,)
@@ -85,11 +90,11 @@ class Odometry(msgspec.Struct, frozen=True, eq=False):
     twist_covariance: Array
 
 
-_Convert: TypeAlias = Callable[[str, Any, int], Input]
+_Convert: TypeAlias = Callable[[str, Any, int], Input | None]
 
 
 class Decoder:
-    """Messages to inputs. Raises ValueError where a topic feeds two inputs."""
+    """Messages to inputs. Raises ValueError where a topic feeds two inputs, or a status is of no odometry."""
 
     def __init__(self, topics: Topics | None = None, mounting: ImuMounting | None = None) -> None:
         topics, mounting = topics or Topics(), mounting or ImuMounting()
@@ -97,12 +102,18 @@ class Decoder:
         self._turned = {topic: each.matrix() for topic, each in mountings.items() if each.is_turned}
         self._yz_sign = -1.0 if mounting.axes == "flu" else 1.0
         self._known: dict[str, tuple[str, _Convert]] = {}
+        self._newest_ns: dict[str, int] = {}  # stamp of each odometry's newest pose
         self._route(topics.imu, schemas.IMU, self._general_imu)
         self._route(topics.gnss, schemas.NAV_SAT_FIX, _gnss)
         self._route(topics.gnss_velocity, schemas.TWIST, _gnss_velocity)
         for kind, sensor in SENSORS.items():
             self._route(getattr(topics, kind), sensor.schema, partial(_reading, kind, sensor))
-        self._route(topics.odometry, schemas.ODOMETRY, _odometry_pose)
+        self._route(topics.odometry, schemas.ODOMETRY, self._odometry_pose)
+        for schema, statuses in ((schemas.ISAAC_STATUS, topics.isaac_status), (schemas.ZED_STATUS, topics.zed_status)):
+            if len(statuses) > len(topics.odometry):
+                raise ValueError(f"{statuses[-1]} ({schema}) is the status of no topic of odometry")
+            for status, of in zip(statuses, topics.odometry, strict=False):
+                self._route((status,), schema, partial(self._tracking, of, *_LOST_STATES[schema]))
         increments = ODOMETRY_DELTA_TOPIC, *topics.odometry_delta, *topics.optical_flow
         self._route(increments, schemas.ODOMETRY_DELTA, _odometry_delta)
         self._route(topics.attitude, schemas.POSE_FIX, _attitude)
@@ -147,6 +158,20 @@ class Decoder:
     def _general_imu(self, topic: str, message: Any, arrived_ns: int) -> ImuSample:
         gyro, accel = _vector(message.angular_velocity), _vector(message.linear_acceleration)
         return self._imu(topic, arrived_ns, _t_ns(message.header.stamp), gyro, accel)
+
+    def _odometry_pose(self, topic: str, message: Any, arrived_ns: int) -> OdometryPose:
+        """The pose; its covariance is of all its past, the velocity redundant. All variances of either that large: it is lost."""
+        is_lost = any(given.covariance.reshape(6, 6).diagonal().min() >= LOST_VARIANCE for given in (message.pose, message.twist))
+        p_o, q_ob_wxyz, _ = _pose(message.pose)
+        t_ns = self._newest_ns[topic] = _t_ns(message.header.stamp)
+        return OdometryPose(t_ns, arrived_ns, p_o, q_ob_wxyz, one_line(message.header.frame_id), topic, is_lost)
+
+    def _tracking(self, of: str, field: str, lost: set[int], _: str, message: Any, arrived_ns: int) -> OdometryPose | None:
+        """Odometry `of` is lost at the status' time, or where it has none at that of the newest pose; else None."""
+        t_ns = _t_ns(message.header.stamp) if hasattr(message, "header") else self._newest_ns.get(of)
+        if t_ns is None or getattr(message, field) not in lost:
+            return None
+        return OdometryPose(t_ns, arrived_ns, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), topic=of, is_lost=True)
 
 
 def decode_odometry(data: bytes) -> Odometry:
@@ -258,14 +283,6 @@ def _gnss_velocity(topic: str, message: Any, arrived_ns: int) -> GnssVelocity:
 
 def _reading(kind: str, sensor: Sensor, topic: str, message: Any, arrived_ns: int) -> Reading:
     return Reading(_t_ns(message.header.stamp), arrived_ns, topic, kind, *sensor.values(message))
-
-
-def _odometry_pose(topic: str, message: Any, arrived_ns: int) -> OdometryPose | Unusable:
-    """The pose; its covariance is of all its past, the velocity redundant. All variances of either that large: it is lost."""
-    p_o, q_ob_wxyz, _ = _pose(message.pose)
-    if any(given.covariance.reshape(6, 6).diagonal().min() >= _LOST for given in (message.pose, message.twist)):
-        return Unusable(arrived_ns, arrived_ns, topic, f"tracking lost: every variance is {_LOST:.0f} or more")
-    return OdometryPose(_t_ns(message.header.stamp), arrived_ns, p_o, q_ob_wxyz, one_line(message.header.frame_id), topic)
 
 
 def _odometry_motion(message: Any) -> tuple[int, Vec3, Quat, Array]:

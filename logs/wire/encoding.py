@@ -7,7 +7,7 @@ import numpy as np
 
 from logs.wire import axes, cdr_fast, integrity, schemas
 from logs.wire.axes import ImuMounting
-from logs.wire.schemas import STORE
+from logs.wire.schemas import LOST_VARIANCE, STORE
 from logs.wire.sensors import SENSORS
 from models.frames import Origin
 from models.messages import (
@@ -311,12 +311,13 @@ def _odometry_delta(delta: OdometryDelta) -> dict[str, Any]:
 
 
 def _odometry_pose(reading: OdometryPose) -> dict[str, Any]:
-    """Without covariance (useless for differences) and velocity."""
+    """Without velocity and covariance (useless for differences); lost: as RTAB-Map says it."""
+    covariance = np.diag([LOST_VARIANCE * reading.is_lost] * 6)
     twist = _new("geometry_msgs/msg/Twist", linear=_vector((0.0, 0.0, 0.0)), angular=_vector((0.0, 0.0, 0.0)))
     return {
         "header": header_of(reading.t_ns, reading.frame),
         "child_frame_id": _BODY,
-        "pose": _pose_with_covariance(reading.p_o, reading.q_ob_wxyz, np.zeros((6, 6))),
+        "pose": _pose_with_covariance(reading.p_o, reading.q_ob_wxyz, covariance),
         "twist": _new("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
     }
 

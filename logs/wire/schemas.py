@@ -34,6 +34,9 @@ INTEGRITY: Final = "landfix_msgs/msg/Integrity"
 CHECKPOINT: Final = "landfix_msgs/msg/Checkpoint"
 
 EXTENDED_STATE: Final = "mavros_msgs/msg/ExtendedState"
+ISAAC_STATUS: Final = "isaac_ros_visual_slam_interfaces/msg/VisualSlamStatus"
+ZED_STATUS: Final = "zed_msgs/msg/PosTrackStatus"
+LOST_VARIANCE: Final = 9999.0  # of each component of an Odometry without a pose, as RTAB-Map sends it
 
 LANDFIX_MSGS: Final = {
     LANDMARK_FIX: """\
@@ -200,8 +203,19 @@ float64[] last_gnss
 }
 
 STORE: Final = get_typestore(Stores.ROS2_HUMBLE)
-_MAVROS: Final = {EXTENDED_STATE: "std_msgs/Header header\nuint8 vtol_state\nuint8 landed_state\n"}
-for _name, _text in (LANDFIX_MSGS | _MAVROS).items():
+_OTHERS: Final = {
+    EXTENDED_STATE: "std_msgs/Header header\nuint8 vtol_state\nuint8 landed_state\n",
+    ISAAC_STATUS: """\
+std_msgs/Header header
+uint8 vo_state
+float64 node_callback_execution_time
+float64 track_execution_time
+float64 track_execution_time_mean
+float64 track_execution_time_max
+""",
+    ZED_STATUS: "uint8 odometry_status\n",  # up to three more bytes follow, by version
+}
+for _name, _text in (LANDFIX_MSGS | _OTHERS).items():
     STORE.register(get_types_from_msg(_text, _name))
 
 

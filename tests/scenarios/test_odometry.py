@@ -9,11 +9,11 @@ from msgspec.structs import replace
 from estimator.fusion import FusionConfig
 from estimator.sources.odometry import OdometryConfig, Row
 from models import so3
-from models.messages import ImuSample, Input, Mode, Reason
+from models.messages import ImuSample, Input, Mode, Reason, vec3
 from models.sim.scenario import EPOCH_NS, Simulation
 from models.state import E
 from tests.estimator.filter.relative.odometers import TOPIC, increments, poses, quat
-from tests.estimator.scenes import Run, by_arrival, config_of, error, fly, position_errors, simulated, within
+from tests.estimator.scenes import SECOND, Run, by_arrival, config_of, error, fly, position_errors, simulated, within
 
 FLIGHT = """
 duration_s = 80.0
@@ -95,6 +95,25 @@ def test_another_frame_begins_anew(simulation: Simulation) -> None:
     assert Reason.GATED not in run.reasons(TOPIC)
     assert Reason.IMPLAUSIBLE not in run.reasons(TOPIC)
     assert position_errors(within(run.estimates, LOST_S, END_S), simulation.truth).max() < 2.0
+
+
+@pytest.mark.parametrize("says", [True, False])
+def test_a_pose_that_stands_still_while_it_is_lost_is_no_motion(simulation: Simulation, says: bool) -> None:
+    """As ZED's does, which goes on from where it was lost; without a word the motion in between is missed."""
+    true = list(poses(simulation, 15.0, END_S))
+    is_lost = np.array([2.0 < (p.t_ns - EPOCH_NS) * 1e-9 % 10.0 < 2.8 for p in true])
+    steps = np.diff([p.p_o for p in true], axis=0, prepend=[true[0].p_o])
+    paths = np.add(true[0].p_o, np.cumsum(np.where(is_lost[:, None], 0.0, steps), axis=0))
+    seen = [replace(p, p_o=vec3(at)) for p, at in zip(true, paths, strict=True)]
+    lost = [
+        replace(p, arrived_ns=p.arrived_ns + SECOND // 100, is_lost=True) for p, is_it in zip(seen, is_lost, strict=True) if is_it
+    ]
+    run = _with(simulation, [*seen, *lost] if says else seen)
+    assert (Reason.NO_FIX in run.reasons(TOPIC)) == says
+    assert (Reason.GATED in run.reasons(TOPIC)) != says
+    if says:
+        assert position_errors(within(run.estimates, LOST_S, END_S), simulation.truth).max() < 2.0
+        assert _ratio(run, simulation, LOST_S, END_S) < 5.4
 
 
 def test_a_jump_is_seen_and_left_out(simulation: Simulation) -> None:

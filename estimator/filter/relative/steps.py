@@ -16,7 +16,7 @@ from estimator.filter.relative import drift
 from estimator.sources import odometry
 from estimator.sources.base.gating import gate
 from estimator.sources.base.machine import Phase, SourceState
-from estimator.sources.odometry import Begins, Increment, Kept, OdometryAid, Posed
+from estimator.sources.odometry import Begins, Increment, Kept, Lost, OdometryAid, Posed
 from models import so3
 from models.messages import Array, Reason
 from models.relative_pose import RelativePose
@@ -27,6 +27,7 @@ _XYZ = 3
 _NO_RATE = np.zeros(3)
 _OVERLAPS = "overlaps with another increment, or begins where there was no estimate"
 _BEGINS, _JUMPED = "the first of its frame", "the pose has jumped by {:.2f} m: begun anew"
+_SAYS_LOST = "its tracking is lost"
 _BREAK, _LOST = "no pose for {:.1f} s: begun anew", "the estimate has jumped since it began"
 _DISPUTED = "has contradicted the estimate: taken to be wrong by {:.2g} m/s"
 
@@ -49,6 +50,9 @@ def take(bank: Hypotheses, aid: OdometryAid, kept: Kept | None, state: SourceSta
         if kept is None or kept.until_ns <= aid.t_ns:
             kept = _keep(bank, aid, kept, Kept(aid.t_ns, motion.until_ns, motion.name, motion.epoch))
         return Step(Reason.THINNED, "", kept, state)
+    if isinstance(motion, Lost):
+        kept = kept or Kept(aid.t_ns, motion.until_ns, b"", "")
+        return Step(Reason.NO_FIX, _SAYS_LOST, kept._replace(until_ns=motion.until_ns, pose=None), state)
     if isinstance(motion, Increment):
         if kept is None or kept.name != motion.name:
             return Step(Reason.THINNED, _OVERLAPS, kept, state)
@@ -58,6 +62,8 @@ def take(bank: Hypotheses, aid: OdometryAid, kept: Kept | None, state: SourceSta
 
 def _pose(bank: Hypotheses, aid: OdometryAid, at: Posed, kept: Kept | None, state: SourceState, *, alone: bool) -> Step:
     begun = Kept(aid.t_ns, aid.t_ns, b"", at.epoch, at.pose, (aid.t_ns, at.pose, None))
+    if kept is not None and kept.pose is None and aid.t_ns <= kept.until_ns:
+        return Step(Reason.NO_FIX, _SAYS_LOST, kept, state)
     if kept is None or kept.pose is None or kept.epoch != at.epoch:
         return Step(Reason.THINNED, _BEGINS, _keep(bank, aid, kept, begun), state)
     off, velocity = odometry.jumped(kept, aid.t_ns, at.pose)

@@ -32,9 +32,11 @@ def wheels(ways: Wheels, message: Any, t_ns: int) -> list[Reading]:
 
 
 def pose(message: Any, t_ns: int, topic: str) -> OdometryPose | None:
-    """ODOMETRY of a camera, lidar or wheels; None: others, or lost. Raises ValueError."""
-    if message.estimator_type not in SEEN_FROM_OUTSIDE or message.quality < 0:
+    """ODOMETRY of a camera, lidar or wheels; None: of others; quality -1: lost. Raises ValueError."""
+    if message.estimator_type not in SEEN_FROM_OUTSIDE:
         return None
+    if message.quality < 0:
+        return OdometryPose(t_ns, t_ns, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), topic=topic, is_lost=True)
     if message.child_frame_id != mavlink.MAV_FRAME_BODY_FRD:
         raise ValueError(f"child_frame_id {message.child_frame_id}: BODY_FRD is expected")
     if message.frame_id in _LEFT_UP:

@@ -158,6 +158,9 @@ def _other(topic: str, s: Survey) -> tuple[str, str]:
             return "", "in the log; if it points down: [inputs] range"
         case schemas.ODOMETRY:
             return "", "in the log; [inputs] odometry where it is wheels or VIO, or a reference: evaluate --truth"
+        case schemas.ISAAC_STATUS | schemas.ZED_STATUS:
+            key = "isaac_status" if s.schema == schemas.ISAAC_STATUS else "zed_status"
+            return "", f"in the log; [inputs] {key} where its odometry is used"
         case schemas.POSE_FIX:
             return "", "in the log; [inputs] pose_fix where it is absolute, or a reference: evaluate --truth"
         case schemas.POSE:

@@ -23,13 +23,14 @@ def simulation() -> Simulation:
 
 
 def _odometry(simulation: Simulation) -> list[Input]:
-    """Increments, one that overlaps and one that is false among them, and poses of another odometry."""
+    """Increments, one that overlaps and one that is false among them, and poses of another odometry that is lost for a while."""
     steps = list(increments(simulation, 0.5, SETTLED_S))
     k = len(steps) // 2
     steps[k] = msgspec.structs.replace(steps[k], dp_b=(steps[k].dp_b[0] + 3.0, *steps[k].dp_b[1:]))
     half = SECOND // 4
     overlaps = msgspec.structs.replace(steps[k + 3], t0_ns=steps[k + 3].t0_ns + half, t_ns=steps[k + 3].t_ns + half)
     others = [msgspec.structs.replace(p, topic=OTHER) for p in poses(simulation, 1.0, SETTLED_S, rate_hz=5.0)]
+    others += [msgspec.structs.replace(p, is_lost=True) for p in others[30:33]]
     return [*steps, overlaps, *others]
 
 
@@ -52,7 +53,7 @@ def _reasons(run: Run) -> dict[tuple[str, int, str], Reason]:
 
 def test_the_flight_has_hypotheses_and_increments_that_are_fused_gated_and_refused(punctual: Run) -> None:
     assert {Reason.FUSED, Reason.GATED, Reason.THINNED, Reason.ALIGNING} <= punctual.reasons(TOPIC).keys()
-    assert {Reason.FUSED, Reason.THINNED} <= punctual.reasons(OTHER).keys()
+    assert {Reason.FUSED, Reason.THINNED, Reason.NO_FIX} <= punctual.reasons(OTHER).keys()
     assert max(h.hypotheses for h in punctual.health) > 1
     assert not punctual.internal_errors()
 

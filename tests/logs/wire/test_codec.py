@@ -1,5 +1,6 @@
 """The wire: values against hand-made and rosbags' ones, bytes against rosbags, and what is no message."""
 
+import struct
 from collections.abc import Callable
 from typing import Any
 
@@ -590,12 +591,56 @@ def test_a_message_cut_anywhere_is_unusable(encoded: tuple[str, str, bytes]) -> 
 
 @pytest.mark.parametrize("part", ["pose", "twist"])
 def test_an_odometry_that_says_it_is_lost_gives_no_pose(part: str) -> None:
+    """Without a pose RTAB-Map's quaternion is zero."""
     topic, schema, data = next(e for e in ENCODED if e[:2] == ("/odometry", schemas.ODOMETRY))
-    for variances, kind in ((np.full(6, 9999.0), Unusable), (np.array([0.1, 0.1, 1e6, 1e6, 1e6, 0.1]), OdometryPose)):
-        message = schemas.STORE.deserialize_cdr(data, schema)
+    for variances, is_lost in ((np.full(6, 9999.0), True), (np.array([0.1, 0.1, 1e6, 1e6, 1e6, 0.1]), False)):
+        message: Any = schemas.STORE.deserialize_cdr(data, schema)
         getattr(message, part).covariance = np.diag(variances).ravel()
-        sent = bytes(schemas.STORE.serialize_cdr(message, schema))
-        assert isinstance(Decoder(ALL).decode(topic, schema, sent, ARRIVED_NS), kind)
+        for k, name in enumerate("xyzw"):
+            setattr(message.pose.pose.orientation, name, 0.0 if is_lost else 0.5 * (-1.0) ** k)
+        got = Decoder(ALL).decode(topic, schema, bytes(schemas.STORE.serialize_cdr(message, schema)), ARRIVED_NS)
+        assert isinstance(got, OdometryPose)
+        assert (got.t_ns, got.is_lost) == (T_NS, is_lost)
+        again = Decoder(ALL).decode(*encode_input(got), ARRIVED_NS)
+        assert isinstance(again, OdometryPose)
+        assert again.is_lost == is_lost
+
+
+def _isaac_status(state: int, stamp_ns: int) -> bytes:
+    """VisualSlamStatus: header, uint8 vo_state, padding, four float64."""
+    return struct.pack("<4siII4sB7x4d", b"\0\1\0\0", *divmod(stamp_ns, 10**9), 4, b"map\0", state, 0.02, 0.01, 0.01, 0.05)
+
+
+@pytest.mark.parametrize(("state", "is_lost"), [(0, False), (1, False), (2, True), (3, True)])
+def test_a_status_of_isaac_says_that_its_odometry_is_lost(state: int, is_lost: bool) -> None:
+    topics = Topics(odometry=("/wheels", "/vo"), isaac_status=("/wheels/status", "/vo/status"))
+    got = Decoder(topics).decode("/vo/status", schemas.ISAAC_STATUS, _isaac_status(state, T_NS), ARRIVED_NS)
+    assert (got is not None) == is_lost
+    if got is not None:
+        assert isinstance(got, OdometryPose)
+        assert (got.t_ns, got.arrived_ns, got.topic, got.is_lost) == (T_NS, ARRIVED_NS, "/vo", True)
+
+
+@pytest.mark.parametrize("more", [b"", b"\3", b"\3\0", b"\3\0\0"], ids=len)
+def test_a_status_of_zed_is_that_of_the_newest_pose_whatever_its_version_adds(more: bytes) -> None:
+    decoder = Decoder(Topics(odometry=("/odometry",), zed_status=("/pose/status",)))
+
+    def tell(state: bytes) -> Input | None:
+        return decoder.decode("/pose/status", schemas.ZED_STATUS, b"\0\1\0\0" + state + more, ARRIVED_NS)
+
+    assert tell(b"\1") is None  # no pose yet
+    topic, schema, data = next(e for e in ENCODED if e.topic == "/odometry")
+    assert decoder.decode(topic, schema, data, ARRIVED_NS) is not None
+    assert tell(b"\0") is None
+    for state in (b"\1", b"\2"):
+        got = tell(state)
+        assert isinstance(got, OdometryPose)
+        assert (got.t_ns, got.topic, got.is_lost) == (T_NS, "/odometry", True)
+
+
+def test_a_status_without_an_odometry_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"/status .* of no topic of odometry"):
+        Decoder(Topics(zed_status=("/status",)))
 
 
 def test_wrong_type_short_type_name_unknown_topic_and_nonsense_stamp() -> None:

@@ -231,9 +231,16 @@ def test_poses_of_a_companion_are_odometry_and_a_reset_is_another_frame() -> Non
     assert first.frame != second.frame
 
 
-@pytest.mark.parametrize("fields", [{"estimator_type": 8}, {"estimator_type": 4}, {"quality": -1}])
-def test_an_autopilots_own_estimate_and_a_lost_camera_are_no_odometry(fields: dict[str, int]) -> None:
+@pytest.mark.parametrize("fields", [{"estimator_type": 8}, {"estimator_type": 4}])
+def test_an_autopilots_own_estimate_is_no_odometry(fields: dict[str, int]) -> None:
     assert not list(_inputs().odometry(_over_the_wire(_odometry(T0, **fields)), T0))
+
+
+@pytest.mark.parametrize(("quality", "is_lost"), [(-1, True), (0, False), (100, False)])
+def test_a_quality_of_minus_one_is_a_lost_camera(quality: int, is_lost: bool) -> None:
+    (got,) = _inputs().odometry(_over_the_wire(_odometry(T0, quality=quality)), T0)
+    assert isinstance(got, OdometryPose)
+    assert (got.t_ns, got.topic, got.is_lost) == (T0, "/odometry", is_lost)
 
 
 @pytest.mark.parametrize(
