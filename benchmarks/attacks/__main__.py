@@ -1,12 +1,13 @@
 """Hostile files, arguments, configurations, states and messages against landfix: one row a cell.
 
-    python -m benchmarks.attacks [--areas log import ...] [--cases ../shared/cases] [--out FILE.jsonl] [--resume]
+    python -m benchmarks.attacks [--areas log import ...] [--count 10000] [--cases ../shared/cases] [--out FILE.jsonl] [--resume]
 
 A cell is held where the command ends by itself, within 10 s of CPU and 1 GB, with the right exit code and one line that says
-why; degraded where that is so but for the words; failed otherwise. The last three areas are a daemon's: it starts whatever its
-state file is, loses at most 0.1 s of its log when it is killed, and goes on after each hostile message with estimates in time,
-within 5 m of the truth. Failed: more than 1 m and more than 5 sigma off. Degraded: more than 5 m off, which its sigma says;
-late; as much of the log lost as was underway on a busy machine.
+why; degraded where that is so but for the words; failed otherwise. Damaged files and spoiled messages are drawn by seed
+(damaged.py, flown.py): a row counts so many files of a format, or a quarter of 100 times as many messages. The last three areas
+are a daemon's: it starts whatever its state file is, loses at most 0.1 s of its log when it is killed, and goes on after each
+hostile message with estimates in time, within 5 m of the truth. Failed: more than 1 m and more than 5 sigma off. Degraded: more
+than 5 m off, which its sigma says; late; as much of the log lost as was underway on a busy machine.
 """
 
 import argparse
@@ -29,7 +30,7 @@ import estimator
 import logs
 import models
 import vision
-from benchmarks.attacks import files, limited, live, typed
+from benchmarks.attacks import damaged, files, flown, limited, live, typed
 from benchmarks.attacks.cell import Cell, Row
 from estimator.service.warm_up import warm_up
 from estimator.version import version
@@ -46,31 +47,43 @@ AREAS = {
     "log": files.logs, "import": files.importers, "map": files.maps, "image": files.images,
     "configuration": typed.configurations, "argument": typed.arguments,
 }  # fmt: skip
+DRAWN = {damaged.AREA: damaged.rows, flown.AREA: flown.rows}
 LIVE = {  # last, in this order: after messages nothing can be forked
     "state file": Live(live.state_files, ("state file",)),
     "kills": Live(live.kills, ("kill -9",)),
     "messages": Live(live.messages, ("zenoh", "mavlink", "burst")),
 }
+EVERY = [*AREAS, *DRAWN, *LIVE]
 _RARE = re.compile(r"__main__|bench|fleet|plot|report|evidence|tune|overlay")
 _CASES = Path(os.environ.get("LANDFIX_DATA", "../shared/data")).parent / "cases"
 
 
 def rows(
-    folder: Path, cases: Path, areas: Iterable[str], only: Sequence[str], known: Collection[tuple[str, str]], *, shared: bool
+    folder: Path,
+    cases: Path,
+    areas: Iterable[str],
+    count: int,
+    only: Sequence[str],
+    known: Collection[tuple[str, str]],
+    shared: bool,
 ) -> Iterator[Row]:
     """The cells whose name contains one of `only`, in turn, but for `known` areas and names; shared: those with a shared file."""
     _load()
     files.prepare(folder)
     files_shared = [path.name.removesuffix(".xz") for part in ("attacks", "turn3") for path in (cases / part).glob("*.*")]
+
+    def wanted(area: str, name: str) -> bool:
+        has_file = not shared or any(file in name for file in files_shared)
+        return (area, name) not in known and (not only or any(part in name for part in only)) and has_file
+
     for area in areas:
         if area in LIVE:
             warm_up()  # before a daemon is forked
             yield from LIVE[area].of(folder)
-            continue
-        for cell in AREAS[area](folder, cases):
-            wanted = (cell.area, cell.name) not in known and (not only or any(part in cell.name for part in only))
-            if wanted and (not shared or any(name in cell.name for name in files_shared)):
-                yield _row(cell, folder)
+        elif area in DRAWN:
+            yield from DRAWN[area](folder, count, wanted)
+        else:
+            yield from (_row(cell, folder) for cell in AREAS[area](folder, cases) if wanted(cell.area, cell.name))
 
 
 def _row(cell: Cell, folder: Path) -> Row:
@@ -91,7 +104,8 @@ def _load() -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--areas", nargs="*", choices=[*AREAS, *LIVE], default=[*AREAS, *LIVE])
+    parser.add_argument("--areas", nargs="*", choices=EVERY, default=EVERY)
+    parser.add_argument("--count", type=int, default=1000, help="damaged files of each format")
     parser.add_argument("--only", nargs="*", default=[], help="cells whose name contains one of these")
     parser.add_argument("--shared", action="store_true", help="cells with a file of the shared cases")
     parser.add_argument("--cases", type=Path, default=_CASES, help="folder of shared cases")
@@ -104,7 +118,7 @@ def main() -> None:
     known = {(row.area, row.name) for row in done}
     given.out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as name, given.out.open("wb") as file:
-        cells = rows(Path(name), given.cases.resolve(), given.areas, given.only, known, shared=given.shared)
+        cells = rows(Path(name), given.cases.resolve(), given.areas, given.count, given.only, known, given.shared)
         for row in chain(done[:], (msgspec.structs.replace(row, version=version()) for row in cells)):
             file.write(msgspec.json.encode(row) + b"\n")
             file.flush()

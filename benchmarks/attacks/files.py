@@ -14,9 +14,9 @@ from typing import Final
 import cv2
 import numpy as np
 
+from benchmarks.attacks import seeds
 from benchmarks.attacks.cell import ANY, READ_OR_REFUSED, REFUSED, Cell
 from benchmarks.attacks.typed import LOG
-from benchmarks.service import fuzz_seeds
 from calib.files.formats import save_rig
 from logs.store.reader import LogReader
 from logs.store.recorder import Recorder
@@ -24,6 +24,7 @@ from vision.synthetic.rigs import make_rig
 
 _PLACE: Final = "47.4,8.5"
 _PRIOR: Final = "47.4,8.5,560,0,0,90"
+_HIGH: Final = ("--picture-height-m", "455")
 _READ_BY: Final[dict[str, tuple[str, ...]]] = {  # "@": the file
     "replay": ("replay", "@", "-o", "out.mcap"),
     "evaluate": ("evaluate", "@"),
@@ -39,14 +40,14 @@ _READ_BY: Final[dict[str, tuple[str, ...]]] = {  # "@": the file
 def prepare(folder: Path) -> None:
     """What sound commands need beside the hostile file."""
     save_rig(folder / "rig.yaml", make_rig())
-    (folder / "map.geojson").write_bytes(fuzz_seeds.of("map")[0])
-    (folder / LOG).write_bytes(fuzz_seeds.of("mcap")[0])
+    (folder / "map.geojson").write_bytes(seeds.of("map")[0])
+    (folder / LOG).write_bytes(seeds.of("mcap")[0])
 
 
 def logs(folder: Path, cases: Path) -> Iterator[Cell]:
     """For every command that reads a log. cases: shared inputs, left out where they are absent."""
     attacks = cases / "attacks"
-    log = fuzz_seeds.of("mcap")[0]
+    log = seeds.of("mcap")[0]
     rng = np.random.default_rng(1)
     noise = rng.bytes(10_000)
     broken = {"empty": b"", "one byte": b"\x89", "noise": noise, "magic only": log[:8], "text": b"t_s,gx\n1,2\n" * 100}
@@ -100,7 +101,7 @@ def importers(folder: Path, cases: Path) -> Iterator[Cell]:
             path = folder / f"{name}.{ending}"
             path.write_bytes(data)
             yield Cell("import", f"{kind}: {name}", ("import", kind, str(path), "-o", "i.mcap"), REFUSED)
-        for k, seed in enumerate(fuzz_seeds.of("bag" if kind == "rosbag" else kind)):
+        for k, seed in enumerate(seeds.of("bag" if kind == "rosbag" else kind)):
             (folder / f"half{k}.{ending}").write_bytes(seed[: len(seed) // 2] + noise)
             words = ("import", kind, str(folder / f"half{k}.{ending}"), "-o", "i.mcap")
             yield Cell("import", f"{kind}: half {k}, then noise", words, READ_OR_REFUSED)
@@ -126,7 +127,7 @@ def _packed(folder: Path, turn3: Path) -> Iterator[Cell]:
 def maps(folder: Path, cases: Path) -> Iterator[Cell]:
     """Maps, and extracts to make them of."""
     attacks = cases / "attacks"
-    feature = json.loads(fuzz_seeds.of("map")[0])["features"][0]
+    feature = json.loads(seeds.of("map")[0])["features"][0]
     ring = [[8.5, 47.4], [8.5001, 47.4], [8.5001, 47.4001]]
     files = {
         "empty": b"", "noise": np.random.default_rng(3).bytes(3000), "deep": b"[" * 200_000, "deep objects": b'{"a":' * 100_000,
@@ -162,7 +163,7 @@ def maps(folder: Path, cases: Path) -> Iterator[Cell]:
 def images(folder: Path, cases: Path) -> Iterator[Cell]:
     """Camera images and orthophotos."""
     attacks = cases / "attacks"
-    jpeg, png = (fuzz_seeds.image(ending) for ending in (".jpg", ".png"))
+    jpeg, png = (seeds.image(ending) for ending in (".jpg", ".png"))
     big = b"\x89PNG\r\n\x1a\n" + _chunk(b"IHDR", struct.pack(">IIBBBBB", 2**31 - 1, 2**31 - 1, 8, 2, 0, 0, 0))
     files = {
         "empty.jpg": b"", "noise.jpg": np.random.default_rng(4).bytes(3000), "text.png": b"an image\n", "torn.jpg": jpeg[:200],
@@ -180,18 +181,7 @@ def images(folder: Path, cases: Path) -> Iterator[Cell]:
         yield Cell("image", f"locate: {path.name}", located, REFUSED)
         yield Cell("image", f"photo: {path.name}", ("locate", str(path), "--map", "map.geojson"), REFUSED)
         yield Cell("image", f"measure: {path.name}", ("measure", str(path), str(path), "--rig", "rig.yaml"), REFUSED)
-        words = (
-            "locate",
-            "torn.jpg",
-            "--rig",
-            "rig.yaml",
-            "--picture",
-            str(path),
-            "--picture-height-m",
-            "455",
-            "--prior",
-            _PRIOR,
-        )
+        words = ("locate", "torn.jpg", "--rig", "rig.yaml", "--picture", str(path), *_HIGH, "--prior", _PRIOR)
         yield Cell("image", f"orthophoto: {path.name}", words, REFUSED)
 
     for name, text in {"long": "x: [" + "1," * 400_000 + "1]\n", "deep": "x: " + "[" * 400_000, "alike": _aliases(9)}.items():

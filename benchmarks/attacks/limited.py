@@ -73,7 +73,8 @@ def _waited(child: int) -> tuple[int, resource.struct_rusage]:
 def _in_child(words: list[str], folder: Path, *, limits: bool) -> None:
     os.setsid()
     if limits:
-        _limit()
+        limit_memory()
+        limit_cpu(3 * CPU_S)
     os.chdir(folder)
     for number, path in ((0, Path(os.devnull)), (1, folder / ".stdout"), (2, folder / ".stderr")):
         os.dup2(os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC), number)
@@ -94,11 +95,15 @@ def _in_child(words: list[str], folder: Path, *, limits: bool) -> None:
     os._exit(code if isinstance(code, int) else 0 if code is None else 1)
 
 
-def _limit() -> None:
+def limit_memory() -> None:
+    """MEMORY_BYTES above what this process has."""
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + MEMORY_BYTES,) * 2)
-    used = int(time.process_time())
-    resource.setrlimit(resource.RLIMIT_CPU, (used + 3 * CPU_S, resource.RLIM_INFINITY))
+
+
+def limit_cpu(seconds: int) -> None:
+    """From here on."""
+    resource.setrlimit(resource.RLIMIT_CPU, (int(time.process_time()) + seconds, resource.RLIM_INFINITY))
 
 
 def flaw(ended: Ended, codes: frozenset[int]) -> tuple[str, str]:

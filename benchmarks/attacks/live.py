@@ -19,7 +19,6 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from benchmarks.attacks import limited
 from benchmarks.attacks.cell import Row
-from benchmarks.service.attack import flood
 from benchmarks.service.autopilot import highres_imu
 from benchmarks.service.vehicle import ORIGIN, Vehicle, connected, gnss, image, imu, pose_fix, truth
 from estimator.service.log.state_file import SavedState, boot_id
@@ -32,6 +31,7 @@ from models.messages import ImuSample, Input
 PORT, MAVLINK_PORT = 17461, 17462
 _START_S, _FLOWN_S, _HZ = 120.0, 1.0, 100.0
 _LATE_S, _OFF_M, _OFF_SIGMA, _SURE_M, _TRIES, _SETTLE_S = 0.5, 5.0, 5.0, 1.0, 3, 0.3
+_RATE_HZ: Final = 100_000
 _KILLS, _FLIGHT_S, _MOST_LOST_S, _OTHERS, _BURST = 10, 4.0, 0.1, 10, 3000
 
 
@@ -64,6 +64,18 @@ class Daemon:
         with suppress(ProcessLookupError):
             os.kill(self.pid, signal.SIGTERM)
         return limited.ended(self.pid, self.folder)
+
+
+def flood(session: zenoh.Session, message: Encoded, seconds: float) -> None:
+    """One message over and over, at most _RATE_HZ."""
+    topic, schema, data = message
+    publisher = session.declare_publisher(keys.rmw_key(0, topic, schema, type_hash(schema)))
+    attachment, began, sent = keys.attachment(1, time.time_ns(), bytes(16)), time.monotonic(), 0
+    while (elapsed := time.monotonic() - began) < seconds:
+        for _ in range(min(200, max(0, round(elapsed * _RATE_HZ) - sent))):
+            publisher.put(data, attachment=attachment)
+            sent += 1
+    publisher.undeclare()  # type: ignore[no-untyped-call]
 
 
 def state_files(folder: Path) -> Iterator[Row]:
@@ -201,10 +213,8 @@ def messages(folder: Path) -> Iterator[Row]:
             yield Row("burst", name, *witness.judged(daemon, act))
     done = daemon.stop()
     why = "" if done.code == 0 and "internal" not in done.stderr else f"ended with {done.code}: {done.stderr[-200:]}"
-    lines = str(len(done.stderr.splitlines()))
-    yield Row(
-        "zenoh", "it ends when asked to", "failed" if why else "held", why, done.code, done.cpu_s, f"{lines} lines on stderr"
-    )
+    lines, verdict = f"{len(done.stderr.splitlines())} lines on stderr", "failed" if why else "held"
+    yield Row("zenoh", "it ends when asked to", verdict, why, done.code, done.cpu_s, lines)
 
 
 class _Witness:

@@ -12,6 +12,10 @@ from models.messages import GnssFix, GnssVelocity, ImuSample, Input, OdometryPos
 
 Messages: TypeAlias = list[Input]
 Change: TypeAlias = Callable[[Messages, np.random.Generator], Messages]
+_FIELDS: Final[dict[type, tuple[str, ...]]] = {
+    ImuSample: ("gyro_b", "accel_b"), GnssFix: ("lat_deg", "lon_deg"), GnssVelocity: ("v_n",), Reading: ("values",),
+    PoseFix: ("p_n", "q_nb_wxyz"), OdometryPose: ("p_o", "q_ob_wxyz"),
+}  # fmt: skip
 
 
 class Fault(NamedTuple):
@@ -28,48 +32,59 @@ def _later(m: Messages, rng: np.random.Generator) -> int:
     return int(first + rng.uniform(0.2, 0.7) * (last - first))
 
 
-def _stamps(change: Callable[[int, int, int], int]) -> Callable[[Messages, int], Messages]:
+def _stamps(change: Callable[[int, int, int], int]) -> Change:
     """change(t_ns, arrived_ns, number) -> t_ns."""
     return lambda m, _: [replace(x, t_ns=change(x.t_ns, x.arrived_ns, k)) for k, x in enumerate(m)]
+
+
+def each(change: Callable[[np.ndarray, np.random.Generator], np.ndarray]) -> Change:
+    """change(v, rng) of the numbers v of each message, in the order of _FIELDS."""
+
+    def changed(m: Messages, rng: np.random.Generator) -> Messages:
+        out: Messages = []
+        for x in m:
+            names = _FIELDS[type(x)]
+            old = [np.atleast_1d(getattr(x, name)) for name in names]
+            parts = np.split(change(np.hstack(old), rng), np.cumsum([len(v) for v in old])[:-1])
+            values = [v.tolist()[0] if name.endswith("_deg") else tuple(v.tolist()) for name, v in zip(names, parts, strict=True)]
+            out.append(replace(x, **dict(zip(names, values, strict=True))))
+        return out
+
+    return changed
+
+
+def later(change: Change) -> Change:
+    """From a time on."""
+
+    def changed(m: Messages, rng: np.random.Generator) -> Messages:
+        at = _later(m, rng)
+        return [x for x in m if x.arrived_ns < at] + change([x for x in m if x.arrived_ns >= at], rng)
+
+    return changed
 
 
 def step(m: Messages, rng: np.random.Generator) -> Messages:
     """The clock is set."""
     size, at = int(1e9 * rng.choice([-1, 1]) * 10.0 ** rng.uniform(-0.3, 3.5)), _later(m, rng)
-    return _stamps(lambda t, a, _: t + size * (a > at))(m, 0)
+    return _stamps(lambda t, a, _: t + size * (a > at))(m, rng)
 
 
 def speed(m: Messages, rng: np.random.Generator) -> Messages:
     """The clock runs too fast or too slow."""
     k, first = float(rng.choice([0.25, 0.5, 0.8, 0.97, 1.05, 1.5, 2.0, 10.0])), m[0].t_ns
-    return _stamps(lambda t, _a, _k: first + round(k * (t - first)))(m, 0)
+    return _stamps(lambda t, _a, _k: first + round(k * (t - first)))(m, rng)
 
 
 def wrap(m: Messages, rng: np.random.Generator) -> Messages:
     """A 32-bit counter of micro- or milliseconds."""
     size, at = int(2**32 * rng.choice([1_000, 1_000_000])), _later(m, rng)
-    return _stamps(lambda t, a, _: t - size * (a > at))(m, 0)
-
-
-def nanoseconds(m: Messages, _: np.random.Generator) -> Messages:
-    """The seconds are not set."""
-    return _stamps(lambda t, _a, _k: t % 10**9)(m, 0)
-
-
-def never_set(m: Messages, _: np.random.Generator) -> Messages:
-    """Stamp 0."""
-    return _stamps(lambda _t, _a, _k: 0)(m, 0)
+    return _stamps(lambda t, a, _: t - size * (a > at))(m, rng)
 
 
 def zone(m: Messages, rng: np.random.Generator) -> Messages:
     """A time zone, or GPS time."""
     ahead = int(1e9 * rng.choice([-7200, 3600, 18, 19800]))
-    return _stamps(lambda t, _a, _k: t + ahead)(m, 0)
-
-
-def float32(m: Messages, _: np.random.Generator) -> Messages:
-    """Seconds since 1970 as float32."""
-    return _stamps(lambda t, _a, _k: round(float(np.float32(t * 1e-9)) * 1e9))(m, 0)
+    return _stamps(lambda t, _a, _k: t + ahead)(m, rng)
 
 
 def batched(m: Messages, rng: np.random.Generator) -> Messages:
@@ -82,7 +97,7 @@ def batched(m: Messages, rng: np.random.Generator) -> Messages:
 def two_clocks(m: Messages, rng: np.random.Generator) -> Messages:
     """Every second or third message is of a sender whose clock differs."""
     n, off = int(rng.integers(2, 4)), int(1e9 * rng.uniform(0.3, 5.0))
-    return _stamps(lambda t, _a, k: t - off * (k % n == 0))(m, 0)
+    return _stamps(lambda t, _a, k: t - off * (k % n == 0))(m, rng)
 
 
 def silent(m: Messages, rng: np.random.Generator) -> Messages:
@@ -110,29 +125,6 @@ def repeated(m: Messages, rng: np.random.Generator) -> Messages:
     return [replace(m[k // n * n], t_ns=x.t_ns, arrived_ns=x.arrived_ns) for k, x in enumerate(m)]
 
 
-def _imu(change: Callable[[np.ndarray], np.ndarray]) -> Change:
-    def changed(m: Messages, _: np.random.Generator) -> Messages:
-        out: Messages = []
-        for x in m:
-            assert isinstance(x, ImuSample)
-            v = change(np.array([*x.gyro_b, *x.accel_b])).tolist()
-            out.append(replace(x, gyro_b=tuple(v[:3]), accel_b=tuple(v[3:])))
-        return out
-
-    return changed
-
-
-def without_gravity(m: Messages, _: np.random.Generator) -> Messages:
-    """As an attitude filter removes it: along the mean specific force of the last second."""
-    force = np.array([x.accel_b for x in m if isinstance(x, ImuSample)])
-    total = np.vstack([np.zeros(3), np.cumsum(force, axis=0)])
-    n = max(1, round(1e9 * len(m) / (m[-1].arrived_ns - m[0].arrived_ns)))
-    first = np.maximum(0, np.arange(len(m)) + 1 - n)
-    mean = (total[1:] - total[first]) / (np.arange(len(m)) + 1 - first)[:, None]
-    left = force - GRAVITY * mean / np.linalg.norm(mean, axis=1)[:, None]
-    return [replace(x, accel_b=tuple(f)) for x, f in zip(m, left.tolist(), strict=True)]
-
-
 def dead(m: Messages, rng: np.random.Generator) -> Messages:
     """One axis stops, at 0 or at its last value."""
     axis, at = int(rng.integers(6)), _later(m, rng) if rng.random() < 0.7 else 0
@@ -140,118 +132,14 @@ def dead(m: Messages, rng: np.random.Generator) -> Messages:
     assert isinstance(first, ImuSample)
     value = 0.0 if rng.random() < 0.5 else [*first.gyro_b, *first.accel_b][axis]
 
-    def stopped(v: np.ndarray) -> np.ndarray:
-        v[axis] = value
-        return v
-
-    return [x for x in m if x.arrived_ns < at] + _imu(stopped)([x for x in m if x.arrived_ns >= at], rng)
-
-
-def mirrored_gyro(m: Messages, rng: np.random.Generator) -> Messages:
-    """One axis of the gyroscope has the wrong sign."""
-    sign = np.ones(6)
-    sign[2] = -1.0
-    return _imu(lambda v: v * sign)(m, rng)
-
-
-def _fix(change: Callable[[float, float, np.random.Generator], tuple[float, float]]) -> Change:
-    def changed(m: Messages, rng: np.random.Generator) -> Messages:
-        out: Messages = []
-        for x in m:
-            assert isinstance(x, GnssFix)
-            lat, lon = change(x.lat_deg, x.lon_deg, rng)
-            out.append(replace(x, lat_deg=lat, lon_deg=lon))
-        return out
-
-    return changed
-
-
-def jammed(m: Messages, rng: np.random.Generator) -> Messages:
-    """Noise grows, the reported accuracy does not."""
-    sigma = rng.uniform(15.0, 40.0) / 111e3
-    kept = [replace(x, covariance_n=np.diag([1.0, 1.0, 2.0])) for x in m]
-    return later(_fix(lambda a, b, r: (a + r.normal() * sigma, b + r.normal() * sigma)))(kept, rng)
-
-
-def _velocity(change: Callable[[np.ndarray], np.ndarray]) -> Change:
-    def changed(m: Messages, _: np.random.Generator) -> Messages:
-        return [replace(x, v_n=tuple(change(np.array(x.v_n)).tolist())) for x in m if isinstance(x, GnssVelocity)]
-
-    return changed
-
-
-def _reading(change: Callable[[np.ndarray], np.ndarray]) -> Change:
-    def changed(m: Messages, _: np.random.Generator) -> Messages:
-        return [replace(x, values=tuple(change(np.array(x.values)).tolist())) for x in m if isinstance(x, Reading)]
-
-    return changed
-
-
-def _noise(of: Callable[[Callable[[np.ndarray], np.ndarray]], Change], sigma: float) -> Change:
-    """White, on each component."""
-    return lambda m, rng: of(lambda v: v + sigma * rng.normal(size=v.shape))(m, rng)
-
-
-def _pose(turn: bool, factor: float) -> Change:
-    def changed(m: Messages, rng: np.random.Generator) -> Messages:
-        axis, angle = "zyx"[int(rng.integers(3))], float(rng.choice([-90.0, 45.0, 90.0, 180.0]))
-        by = Rotation.from_euler(axis, angle, degrees=True)
-        out: Messages = []
-        for x in m:
-            if isinstance(x, PoseFix | OdometryPose):
-                q = x.q_nb_wxyz if isinstance(x, PoseFix) else x.q_ob_wxyz
-                w, *v = (Rotation.from_quat([*q[1:], q[0]]) * by).as_quat()[[3, 0, 1, 2]].tolist()
-                turned = (w, *v) if turn else q
-                if isinstance(x, PoseFix):
-                    out.append(replace(x, q_nb_wxyz=turned, p_n=tuple((factor * np.array(x.p_n)).tolist())))
-                else:
-                    out.append(replace(x, q_ob_wxyz=turned))
-        return out
-
-    return changed
-
-
-def east_north_up(m: Messages, _: np.random.Generator) -> Messages:
-    """Poses in ROS's frame, taken for north, east, down."""
-    to_enu = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-    out: Messages = []
-    for x in m:
-        assert isinstance(x, PoseFix)
-        w, *v = (to_enu * Rotation.from_quat([*x.q_nb_wxyz[1:], x.q_nb_wxyz[0]])).as_quat()[[3, 0, 1, 2]].tolist()
-        out.append(replace(x, p_n=tuple(to_enu.apply(x.p_n).tolist()), q_nb_wxyz=(w, *v)))
-    return out
-
-
-def level_poses(m: Messages, _: np.random.Generator) -> Messages:
-    """Positions with an attitude that never changes."""
-    return [replace(x, q_nb_wxyz=(1.0, 0.0, 0.0, 0.0)) for x in m if isinstance(x, PoseFix)]
-
-
-def later(change: Change) -> Change:
-    """From a time on."""
-
-    def changed(m: Messages, rng: np.random.Generator) -> Messages:
-        at = _later(m, rng)
-        return [x for x in m if x.arrived_ns < at] + change([x for x in m if x.arrived_ns >= at], rng)
-
-    return changed
-
-
-def not_a_number(m: Messages, rng: np.random.Generator) -> Messages:
-    """From a time on; of an IMU, one axis."""
-    nan = np.where(np.arange(6) == int(rng.integers(6)), np.nan, 1.0)
-    return later(_imu(lambda v: v * nan) if isinstance(m[0], ImuSample) else _fix(lambda _, b, _r: (np.nan, b)))(m, rng)
-
-
-def twice(m: Messages, _: np.random.Generator) -> Messages:
-    """Two bridges."""
-    return [x for x in m for _ in range(2)]
+    stopped = each(lambda v, _: np.where(np.arange(6) == axis, value, v))
+    return [x for x in m if x.arrived_ns < at] + stopped([x for x in m if x.arrived_ns >= at], rng)
 
 
 def stamps_stop(m: Messages, rng: np.random.Generator) -> Messages:
     """From a time on."""
     at, first = _later(m, rng), m[0].t_ns
-    return _stamps(lambda t, a, _: t if a < at else first)(m, 0)
+    return _stamps(lambda t, a, _: t if a < at else first)(m, rng)
 
 
 def jitter(m: Messages, rng: np.random.Generator) -> Messages:
@@ -272,57 +160,73 @@ def holes(m: Messages, rng: np.random.Generator) -> Messages:
     return [x for x in m if (x.arrived_ns * 1e-9) % every > long]
 
 
-def elsewhere(m: Messages, rng: np.random.Generator) -> Messages:
-    """A receiver that is spoofed to 50 to 1,000 m away."""
-    way, course = 10.0 ** rng.uniform(1.7, 3.0) / 111e3, rng.uniform(0.0, 2.0 * np.pi)
-    return later(_fix(lambda a, b, _: (a + way * np.cos(course), b + way * np.sin(course) / np.cos(np.radians(a)))))(m, rng)
-
-
-def outliers(m: Messages, _: np.random.Generator) -> Messages:
-    """Of some hundred metres, one in ten."""
-    return _fix(lambda a, b, r: (a + (r.random() < 0.1) * r.normal() * 3e-3, b + (r.random() < 0.1) * r.normal() * 3e-3))(m, _)
-
-
-def _rounded(digits: int) -> Change:
-    return _fix(lambda a, b, _: (round(a, digits), round(b, digits)))
-
-
-def _moved_pose(change: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]) -> Change:
-    """change(p, q)."""
-
-    def changed(m: Messages, _: np.random.Generator) -> Messages:
-        out: Messages = []
-        for x in m:
-            if isinstance(x, PoseFix):
-                p, q = change(np.array(x.p_n), np.array(x.q_nb_wxyz))
-                out.append(replace(x, p_n=tuple(p.tolist()), q_nb_wxyz=tuple(q.tolist())))
-            elif isinstance(x, OdometryPose):
-                p, q = change(np.array(x.p_o), np.array(x.q_ob_wxyz))
-                out.append(replace(x, p_o=tuple(p.tolist()), q_ob_wxyz=tuple(q.tolist())))
-        return out
-
-    return changed
-
-
 def late(m: Messages, rng: np.random.Generator) -> Messages:
     """Stamped on arrival, by 0.5 to 1.3 s."""
     by = int(1e9 * rng.uniform(0.5, 1.3))
     return [replace(x, t_ns=x.t_ns + by, arrived_ns=x.arrived_ns + by) for x in m]
 
 
-def minutes(deg: float) -> float:
-    """ddmm.mmmm / 100."""
-    return float(np.trunc(deg) + 0.6 * (deg - np.trunc(deg)))
+def without_gravity(m: Messages, rng: np.random.Generator) -> Messages:
+    """As an attitude filter removes it: along the mean specific force of the last second."""
+    force = np.array([x.accel_b for x in m if isinstance(x, ImuSample)])
+    total = np.vstack([np.zeros(3), np.cumsum(force, axis=0)])
+    n = max(1, round(1e9 * len(m) / (m[-1].arrived_ns - m[0].arrived_ns)))
+    first = np.maximum(0, np.arange(len(m)) + 1 - n)
+    mean = (total[1:] - total[first]) / (np.arange(len(m)) + 1 - first)[:, None]
+    left = iter(force - GRAVITY * mean / np.linalg.norm(mean, axis=1)[:, None])
+    return each(lambda v, _: np.hstack([v[:3], next(left)]))(m, rng)
+
+
+def jammed(m: Messages, rng: np.random.Generator) -> Messages:
+    """Noise grows, the reported accuracy does not."""
+    sigma = rng.uniform(15.0, 40.0) / 111e3
+    return later(each(lambda v, r: v + sigma * r.normal(size=2)))(
+        [replace(x, covariance_n=np.diag([1.0, 1.0, 2.0])) for x in m], rng
+    )
+
+
+def elsewhere(m: Messages, rng: np.random.Generator) -> Messages:
+    """A receiver that is spoofed to 50 to 1,000 m away."""
+    way, course = 10.0 ** rng.uniform(1.7, 3.0) / 111e3, rng.uniform(0.0, 2.0 * np.pi)
+    return later(each(lambda v, _: v + way * np.array([np.cos(course), np.sin(course) / np.cos(np.radians(v[0]))])))(m, rng)
+
+
+def not_a_number(m: Messages, rng: np.random.Generator) -> Messages:
+    """From a time on; of an IMU, one axis; of a receiver, the latitude."""
+    axis = int(rng.integers(6)) if isinstance(m[0], ImuSample) else 0
+    return later(each(lambda v, _: np.where(np.arange(len(v)) == axis, np.nan, v)))(m, rng)
 
 
 def reset(m: Messages, rng: np.random.Generator) -> Messages:
     """An odometry that begins anew."""
-    far = rng.uniform(4.0, 20.0) * np.array([*np.sign(rng.normal(size=2)), 0.0])
-    return later(_moved_pose(lambda p, q: (p - far, q)))(m, rng)
+    far = rng.uniform(4.0, 20.0) * np.array([*np.sign(rng.normal(size=2)), *np.zeros(5)])
+    return later(each(lambda v, _: v - far))(m, rng)
+
+
+def turned(m: Messages, rng: np.random.Generator) -> Messages:
+    """Axes of the body exchanged: R exp(angle axis)."""
+    axis, angle = "zyx"[int(rng.integers(3))], float(rng.choice([-90.0, 45.0, 90.0, 180.0]))
+    by = Rotation.from_euler(axis, angle, degrees=True)
+    return each(lambda v, _: np.hstack([v[:3], (_attitude(v) * by).as_quat(scalar_first=True)]))(m, rng)
+
+
+def east_north_up(v: np.ndarray, _: np.random.Generator) -> np.ndarray:
+    """A pose in ROS's frame, taken for north, east, down."""
+    to_enu = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    return np.hstack([to_enu.apply(v[:3]), (to_enu * _attitude(v)).as_quat(scalar_first=True)])
+
+
+def _attitude(v: np.ndarray) -> Rotation:
+    return Rotation.from_quat(v[3:], scalar_first=True)
+
+
+def minutes(v: np.ndarray, _: np.random.Generator) -> np.ndarray:
+    """ddmm.mmmm / 100."""
+    return np.asarray(np.trunc(v) + 0.6 * (v - np.trunc(v)))
 
 
 DEG: Final = 180.0 / np.pi
-_INVERSE: Final = (1.0, -1.0, -1.0, -1.0)
+_INVERSE: Final = (1, 1, 1, 1, -1, -1, -1)
 _FORCE: Final = np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
 _ALL = ("imu", "gnss", "velocity", "pose", "baro", "field")
 _STEPS, _SPEED = ("jump", "fall back"), ("times the speed", "drift")
@@ -330,69 +234,73 @@ FAULTS: Final[dict[str, Fault]] = {
     **{f"{kind} clock set": Fault(kind, step, _STEPS) for kind in ("imu", "gnss", "pose")},
     **{f"{kind} clock speed": Fault(kind, speed, _SPEED) for kind in ("imu", "gnss", "pose")},
     **{f"{kind} counter wraps": Fault(kind, wrap, ("wrapped",)) for kind in ("imu", "gnss")},
-    **{f"{kind} seconds missing": Fault(kind, nanoseconds, ("only the nanoseconds",)) for kind in ("imu", "gnss")},
-    **{f"{kind} stamp never set": Fault(kind, never_set, ("stamps are the same",)) for kind in ("imu", "gnss", "baro")},
+    **{f"{kind} seconds missing": Fault(kind, _stamps(lambda t, _a, _k: t % 10**9), ("only the nanoseconds",))
+       for kind in ("imu", "gnss")},
+    **{f"{kind} stamp never set": Fault(kind, _stamps(lambda _t, _a, _k: 0), ("stamps are the same",))
+       for kind in ("imu", "gnss", "baro")},
     **{f"{kind} in another time": Fault(kind, zone, ("time zone", "GPS time")) for kind in ("imu", "gnss", "velocity")},
     **{f"{kind} two clocks": Fault(kind, two_clocks, ("two clocks",)) for kind in ("imu", "gnss")},
-    "imu stamps float32": Fault("imu", float32, ("stamps",)),
+    "imu stamps float32": Fault("imu", _stamps(lambda t, _a, _k: round(float(np.float32(t * 1e-9)) * 1e9)), ("stamps",)),
     "imu batched": Fault("imu", batched, ("batches",)),
     "imu silent": Fault("imu", silent, ("silent", "ends")),
     "imu too slow": Fault("imu", slow, ("samples a second",)),
     **{f"{kind} held": Fault(kind, held, ("repeats one reading",)) for kind in _ALL},
     **{f"{kind} repeated": Fault(kind, repeated, ("stands",)) for kind in ("imu", "gnss")},
     "imu axis dead": Fault("imu", dead, ("without any change",)),
-    "imu gyro in deg/s": Fault("imu", _imu(lambda v: v * [DEG, DEG, DEG, 1, 1, 1]), ("deg/s",)),
-    "imu accel in g": Fault("imu", _imu(lambda v: v / [1, 1, 1, 9.80665, 9.80665, 9.80665]), ("in g",)),
-    "imu other convention": Fault("imu", _imu(lambda v: v * [1, -1, -1, 1, -1, -1]), ("other convention",)),
-    "imu on its side": Fault("imu", _imu(lambda v: v[[0, 2, 1, 3, 5, 4]] * [1, -1, 1, 1, -1, 1]), ("mounted",)),
+    "imu gyro in deg/s": Fault("imu", each(lambda v, _: v * [DEG, DEG, DEG, 1, 1, 1]), ("deg/s",)),
+    "imu accel in g": Fault("imu", each(lambda v, _: v / [1, 1, 1, 9.80665, 9.80665, 9.80665]), ("in g",)),
+    "imu other convention": Fault("imu", each(lambda v, _: v * [1, -1, -1, 1, -1, -1]), ("other convention",)),
+    "imu on its side": Fault("imu", each(lambda v, _: v[[0, 2, 1, 3, 5, 4]] * [1, -1, 1, 1, -1, 1]), ("mounted",)),
     "imu gravity removed": Fault("imu", without_gravity, ("gravity is missing",)),
-    "gyro mirrored": Fault("turning", mirrored_gyro, ("mirrored", "turned")),
+    "gyro mirrored": Fault("turning", each(lambda v, _: v * [1, 1, -1, 1, 1, 1]), ("mirrored", "turned")),
     **{f"{kind} not a number": Fault(kind, not_a_number, ("not a number",)) for kind in ("imu", "gnss")},
-    **{f"{kind} twice": Fault(kind, twice, ("comes 2 times",)) for kind in ("imu", "gnss", "velocity")},
+    **{f"{kind} twice": Fault(kind, lambda m, _: [x for x in m for _ in range(2)], ("comes 2 times",))
+       for kind in ("imu", "gnss", "velocity")},
     **{f"{kind} stamps stop": Fault(kind, stamps_stop, ("stamps",)) for kind in ("imu", "gnss")},
     "imu stamps jitter": Fault("imu", jitter, ("go back",)),
     **{f"imu {name}": Fault("imu", change, ("missing",)) for name, change in (("loses samples", lost), ("has holes", holes))},
-    "imu sensors exchanged": Fault("imu", _imu(lambda v: v[[3, 4, 5, 0, 1, 2]]), ("are exchanged",)),
-    "imu reversed force": Fault("imu", _imu(lambda v: v * [1, 1, 1, -1, -1, -1]), ("the other sign",)),
-    "imu of other bytes": Fault("imu", _imu(lambda v: v.astype("<f4").view(">f4").astype(float)), ("no sensor", "not a number")),
-    "imu shaken": Fault("imu", later(lambda m, r: _imu(lambda v: v + 20.0 * r.normal(size=6) * _FORCE)(m, r)), ("scatter",)),
-    "gyro of another scale": Fault("turning", _imu(lambda v: v * [2, 2, 2, 1, 1, 1]), ("it turns 2",)),
-    "gyro offset": Fault("turning", _imu(lambda v: np.add(v, [0.2, -0.1, 0.3, 0.0, 0.0, 0.0])), ("gyroscope",)),
-    "gyro rounded": Fault("imu", _imu(lambda v: np.array([*(0.05 * np.round(20.0 * v[:3])), *v[3:]])), ("rounded",)),
+    "imu sensors exchanged": Fault("imu", each(lambda v, _: v[[3, 4, 5, 0, 1, 2]]), ("are exchanged",)),
+    "imu reversed force": Fault("imu", each(lambda v, _: v * [1, 1, 1, -1, -1, -1]), ("the other sign",)),
+    "imu of other bytes": Fault("imu", each(lambda v, _: v.astype("<f4").view(">f4").astype(float)),
+                                ("no sensor", "not a number")),
+    "imu shaken": Fault("imu", later(each(lambda v, r: v + 20.0 * r.normal(size=6) * _FORCE)), ("scatter",)),
+    "gyro of another scale": Fault("turning", each(lambda v, _: v * [2, 2, 2, 1, 1, 1]), ("it turns 2",)),
+    "gyro offset": Fault("turning", each(lambda v, _: np.add(v, [0.2, -0.1, 0.3, 0.0, 0.0, 0.0])), ("gyroscope",)),
+    "gyro rounded": Fault("imu", each(lambda v, _: np.array([*(0.05 * np.round(20.0 * v[:3])), *v[3:]])), ("rounded",)),
     "gnss spoofed": Fault("gnss", elsewhere, ("jump",)),
-    "gnss outliers": Fault("gnss", outliers, ("jump", "scatter")),
-    "gnss sometimes at 0, 0": Fault("gnss", _fix(lambda a, b, r: (0.0, 0.0) if r.random() < 0.3 else (a, b)), ("latitude 0",)),
-    "gnss minutes": Fault("gnss", _fix(lambda a, b, _: (minutes(a), minutes(b))), ("minutes are written",)),
-    "gnss of 4 digits": Fault("gnss", _rounded(4), ("rounded",)),
-    "gnss in 1e-7 degrees": Fault("gnss", _fix(lambda a, b, _: (1e7 * a, 1e7 * b)), ("degrees",)),
+    "gnss outliers": Fault("gnss", each(lambda v, r: v + (r.random(2) < 0.1) * r.normal(size=2) * 3e-3), ("jump", "scatter")),
+    "gnss sometimes at 0, 0": Fault("gnss", each(lambda v, r: 0.0 * v if r.random() < 0.3 else v), ("latitude 0",)),
+    "gnss minutes": Fault("gnss", each(minutes), ("minutes are written",)),
+    "gnss of 4 digits": Fault("gnss", each(lambda v, _: np.round(v, 4)), ("rounded",)),
+    "gnss in 1e-7 degrees": Fault("gnss", each(lambda v, _: 1e7 * v), ("degrees",)),
     "gnss sure of itself": Fault("gnss", lambda m, _: [replace(x, covariance_n=1e-8 * np.eye(3)) for x in m], ("accuracy",)),
-    "velocity of the body": Fault("velocity", _velocity(lambda v: np.array([np.hypot(v[0], v[1]), 0.0, v[2]])), ("body",)),
+    "velocity of the body": Fault("velocity", each(lambda v, _: np.array([np.hypot(v[0], v[1]), 0.0, v[2]])), ("body",)),
     **{f"{kind} late": Fault(kind, late, ("late",)) for kind in ("pose", "odometry", "moving")},
     "odometry reset": Fault("odometry", reset, ("jump",)),
-    "pose inverse": Fault("pose", _moved_pose(lambda p, q: (p, q * _INVERSE)), ("inverse",)),
-    "odometry inverse": Fault("odometry", _moved_pose(lambda p, q: (p, q * _INVERSE)), ("inverse",)),
-    "pose x, y, z, w": Fault("pose", _moved_pose(lambda p, q: (p, q[[1, 2, 3, 0]])), ("x, y, z, w",)),
-    "pose of angles": Fault("pose", _moved_pose(lambda p, q: (p, 57.3 * q)), ("length",)),
-    "pose of another map": Fault("pose", later(_moved_pose(lambda p, q: (np.add(p, [9.0, -12.0, 1.0]), q))), ("jump",)),
-    "pose in centimetres": Fault("pose", _moved_pose(lambda p, q: (100.0 * p, q)), ("centimetres",)),
-    "odometry twice as long": Fault("odometry", _moved_pose(lambda p, q: (2.0 * p, q)), ("times too large",)),
-    "velocity noise": Fault("velocity", later(_noise(_velocity, 6.0)), ("scatter",)),
-    "baro noise": Fault("baro", later(_noise(_reading, 300.0)), ("scatter",)),
-    "baro jumps": Fault("baro", later(_reading(lambda v: v + 500.0)), ("jump",)),
-    "gnss exchanged": Fault("gnss", _fix(lambda a, b, _: (b, a)), ("exchanged",)),
-    "gnss longitude sign": Fault("gnss", _fix(lambda a, b, _: (a, -b)), ("wrong sign",)),
-    "gnss elsewhere": Fault("gnss", _fix(lambda a, b, _: (a - 25.0, b)), ("from [map] origin",)),
-    "gnss at 0, 0": Fault("gnss", _fix(lambda _a, _b, _r: (0.0, 0.0)), ("latitude 0",)),
+    "pose inverse": Fault("pose", each(lambda v, _: v * _INVERSE), ("inverse",)),
+    "odometry inverse": Fault("odometry", each(lambda v, _: v * _INVERSE), ("inverse",)),
+    "pose x, y, z, w": Fault("pose", each(lambda v, _: v[[0, 1, 2, 4, 5, 6, 3]]), ("x, y, z, w",)),
+    "pose of angles": Fault("pose", each(lambda v, _: v * [1, 1, 1, *[57.3] * 4]), ("length",)),
+    "pose of another map": Fault("pose", later(each(lambda v, _: np.add(v, [9.0, -12.0, 1.0, 0, 0, 0, 0]))), ("jump",)),
+    "pose in centimetres": Fault("pose", each(lambda v, _: v * [100, 100, 100, 1, 1, 1, 1]), ("centimetres",)),
+    "odometry twice as long": Fault("odometry", each(lambda v, _: v * [2, 2, 2, 1, 1, 1, 1]), ("times too large",)),
+    "velocity noise": Fault("velocity", later(each(lambda v, r: v + 6.0 * r.normal(size=3))), ("scatter",)),
+    "baro noise": Fault("baro", later(each(lambda v, r: v + 300.0 * r.normal())), ("scatter",)),
+    "baro jumps": Fault("baro", later(each(lambda v, _: v + 500.0)), ("jump",)),
+    "gnss exchanged": Fault("gnss", each(lambda v, _: v[::-1]), ("exchanged",)),
+    "gnss longitude sign": Fault("gnss", each(lambda v, _: v * [1, -1]), ("wrong sign",)),
+    "gnss elsewhere": Fault("gnss", each(lambda v, _: v - [25.0, 0.0]), ("from [map] origin",)),
+    "gnss at 0, 0": Fault("gnss", each(lambda v, _: 0.0 * v), ("latitude 0",)),
     "gnss jammed": Fault("gnss", jammed, ("scatter",)),
-    "velocity km/h": Fault("velocity", _velocity(lambda v: 3.6 * v), ("km/h",)),
-    "velocity exchanged": Fault("velocity", _velocity(lambda v: v[[1, 0, 2]]), ("exchanged",)),
-    "velocity reversed": Fault("velocity", _velocity(lambda v: -v), ("reversed",)),
-    "pose turned": Fault("pose", _pose(True, 1.0), ("turned",)),
-    "pose east north up": Fault("pose", east_north_up, ("gravity",)),
-    "pose level": Fault("pose", level_poses, ("attitude does not fit",)),
-    "odometry turned": Fault("odometry", _pose(True, 1.0), ("turned",)),
-    "baro in hPa": Fault("baro", _reading(lambda v: 0.01 * v), ("hPa",)),
-    "field mirrored": Fault("field", _reading(lambda v: v * [1.0, -1.0, 1.0]), ("mirrored",)),
-    "field 0": Fault("field", _reading(lambda v: 0.0 * v), ("all its readings are 0",)),
-    "field in gauss": Fault("field", _reading(lambda v: 1e4 * v), ("gauss",)),
+    "velocity km/h": Fault("velocity", each(lambda v, _: 3.6 * v), ("km/h",)),
+    "velocity exchanged": Fault("velocity", each(lambda v, _: v[[1, 0, 2]]), ("exchanged",)),
+    "velocity reversed": Fault("velocity", each(lambda v, _: -v), ("reversed",)),
+    "pose turned": Fault("pose", turned, ("turned",)),
+    "pose east north up": Fault("pose", each(east_north_up), ("gravity",)),
+    "pose level": Fault("pose", each(lambda v, _: np.array([*v[:3], 1.0, 0.0, 0.0, 0.0])), ("attitude does not fit",)),
+    "odometry turned": Fault("odometry", turned, ("turned",)),
+    "baro in hPa": Fault("baro", each(lambda v, _: 0.01 * v), ("hPa",)),
+    "field mirrored": Fault("field", each(lambda v, _: v * [1.0, -1.0, 1.0]), ("mirrored",)),
+    "field 0": Fault("field", each(lambda v, _: 0.0 * v), ("all its readings are 0",)),
+    "field in gauss": Fault("field", each(lambda v, _: 1e4 * v), ("gauss",)),
 }  # fmt: skip

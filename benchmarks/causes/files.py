@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from benchmarks.service import fuzz_seeds
+from benchmarks.attacks import seeds
 from logs.importers import ROSBAG, convert
 from logs.store.reader import LogError
 
@@ -16,7 +16,7 @@ Change = Callable[[bytes, np.random.Generator], bytes]
 
 
 class FileFault(NamedTuple):
-    """seed: format of fuzz_seeds; file: its name; words: one of them names the cause; kind: given to import, if it is another."""
+    """seed: format of the file; words: one of them names the cause; kind: what import is told, if that is another."""
 
     seed: str
     file: str
@@ -123,8 +123,8 @@ FILE_FAULTS: Final[dict[str, FileFault]] = {
 
 def said_of(fault: FileFault, rng: np.random.Generator) -> str:
     """The first sentence of `landfix import`: its error, else its first note."""
-    seeds = fuzz_seeds.of(fault.seed)
-    data = seeds[int(rng.integers(len(seeds)))]
+    found = seeds.of(fault.seed)
+    data = found[int(rng.integers(len(found)))]
     with tempfile.TemporaryDirectory() as name:
         path = Path(name) / "in" / fault.file
         path.parent.mkdir()

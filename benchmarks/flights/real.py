@@ -3,7 +3,6 @@
 python -m benchmarks.flights.real                              everything (make bench-real; the first time about half an hour)
 python -m benchmarks.flights.real --quick                      one seed, every third flight
 python -m benchmarks.flights.real --scenarios AX --sets euroc --naive
-python -m benchmarks.flights.real --gnss                       only the flights with GNSS
 python -m benchmarks.flights.real --scenarios AL --sets quad --config tuned.toml   with another noise than the tasks tell
 """
 
@@ -12,9 +11,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from benchmarks.flights import gnss, tables
+from benchmarks.flights import tables
 from benchmarks.flights.runs import NAIVE, OURS, Job, run
-from benchmarks.flights.tasks import ROOT, SETS, VISION, data_folder, tasks
+from benchmarks.flights.tasks import ROOT, SETS, data_folder, tasks
 from benchmarks.jobs import run_jobs
 from benchmarks.tables import Table
 
@@ -27,22 +26,17 @@ def main() -> None:
         raise SystemExit(f"{data_folder()}/flights not found: set LANDFIX_DATA to the folder of recorded flights")
     if args.config and not args.config.is_file():
         raise SystemExit(f"{args.config}: no such file")
-    everything = not (args.vision or args.gnss or args.scenarios)
-    scenarios = (args.scenarios or (FLIGHT_SCENARIOS if everything else "")) + ("VW" if args.vision or everything else "")
     seeds, every = (args.seeds[:1], 3) if args.quick else (args.seeds, 1)
     args.out.mkdir(parents=True, exist_ok=True)
     estimators = (NAIVE,) if args.naive_only else (OURS, NAIVE) if args.naive else (OURS,)
-    sigma = (args.vision_sigma[0], args.vision_sigma[1])
     config, folder = str(args.config or ""), str(args.out)
-    jobs = [Job(task, estimators, sigma, config, folder) for task in tasks(args.sets, scenarios, seeds, every)]
+    jobs = [Job(task, estimators, config, folder) for task in tasks(args.sets, args.scenarios, seeds, every)]
     kept = args.out / "runs.jsonl"
     found = run_jobs(jobs, run, list[dict[str, Any]], kept, processes=args.jobs, resume=args.resume) if jobs else []
     runs = [result for results in found for result in results]
     report = [table.markdown() for table in report_tables(runs)]
     if runs:
         (args.out / "results.json").write_text(json.dumps(runs, indent=1))
-    if args.gnss or everything:
-        report += [table.markdown() for table in gnss.tables(args.out, args.jobs)]
     (args.out / "report.md").write_text("\n".join(report))
     print("\n".join(report))
     print(f"{args.out}/report.md, results.json")
@@ -51,15 +45,12 @@ def main() -> None:
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sets", nargs="+", choices=SETS, default=list(SETS))
-    parser.add_argument("--scenarios", type=scenario_letters, help=f"letters out of {FLIGHT_SCENARIOS}{''.join(VISION)}")
+    parser.add_argument("--scenarios", type=scenario_letters, default=FLIGHT_SCENARIOS, help="letters")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--naive", action="store_true", help="the plain filter too (slow the first time, then kept)")
     parser.add_argument("--naive-only", action="store_true", help="the plain filter alone")
-    parser.add_argument("--vision", action="store_true", help="only real vision estimates as fixes (and --scenarios)")
-    parser.add_argument("--vision-sigma", nargs=2, type=float, default=[0.1, 1.5], metavar=("M", "DEG"))
     parser.add_argument("--config", type=Path, metavar="TOML", help="in place of the tasks' own, such as what landfix tune wrote")
-    parser.add_argument("--gnss", action="store_true", help="only the flights with GNSS (and --scenarios)")
     parser.add_argument("--quick", action="store_true", help="one seed, every third flight")
     parser.add_argument("--resume", action="store_true", help="go on where the last run ended")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "bench_real")

@@ -25,11 +25,10 @@ OURS, NAIVE = "landfix", "naive"
 
 
 class Job(NamedTuple):
-    """A task for one or more estimators. vision_sigma: m, degrees, of vision fixes; config: in place of the task's own."""
+    """A task for one or more estimators. config: in place of the task's own."""
 
     task: Task
     estimators: tuple[str, ...]
-    vision_sigma: tuple[float, float]
     config: str
     folder: str
 
@@ -37,7 +36,7 @@ class Job(NamedTuple):
 def run(job: Job) -> list[dict[str, Any]]:
     """Make the task, run each estimator over it, score it; nothing if the flight is too short for the scenario."""
     folder = Path(job.folder)
-    task_file = make(job.task, folder / "tasks", job.vision_sigma)
+    task_file = make(job.task, folder / "tasks")
     if task_file is None:
         return []
     config = Path(job.config) if job.config else task_file.with_suffix(".toml")

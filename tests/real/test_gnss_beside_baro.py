@@ -5,18 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.flights import gnss
 from models.messages import Reading, Reason
+from tests.real import gnss_flights as gnss
 
 
-@pytest.fixture(autouse=True)
-def _data(landfix_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("LANDFIX_DATA", str(landfix_data))
-
-
-def test_a_barometer_in_the_wind_does_not_lock_out_a_good_receiver(tmp_path: Path) -> None:
+def test_a_barometer_in_the_wind_does_not_lock_out_a_good_receiver(landfix_data: Path, tmp_path: Path) -> None:
     """A fixed wing: speed and attitude move the pressure at its port by metres."""
-    recording, config = gnss.flight(gnss.FLIGHTS["thor75"], tmp_path)
+    recording, config = gnss.flight(landfix_data, gnss.THOR75, tmp_path)
     _, statuses = gnss.run(gnss.inputs(recording), config)
     last = {s.t_ns: s.reason for s in statuses if s.kind == "gnss_position"}
     reasons = [last[t] for t in sorted(last) if last[t] is not Reason.ALIGNING]
@@ -25,8 +20,8 @@ def test_a_barometer_in_the_wind_does_not_lock_out_a_good_receiver(tmp_path: Pat
 
 
 @pytest.mark.long
-def test_a_receiver_that_walks_off_does_not_outvote_the_barometer(tmp_path: Path) -> None:
-    recording, config = gnss.flight(gnss.GLITCH, tmp_path)
+def test_a_receiver_that_walks_off_does_not_outvote_the_barometer(landfix_data: Path, tmp_path: Path) -> None:
+    recording, config = gnss.flight(landfix_data, gnss.GLITCH, tmp_path)
     messages = gnss.inputs(recording)
     start_ns = messages[0].t_ns
     track, _ = gnss.run(messages, config)

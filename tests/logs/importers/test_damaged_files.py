@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
+from benchmarks.attacks import seeds
 from benchmarks.causes.files import FILE_FAULTS, said_of
-from benchmarks.service import fuzz_seeds
 
 
 @pytest.mark.parametrize("name", FILE_FAULTS)
 def test_the_first_sentence_names_what_is_wrong_with_the_file(name: str) -> None:
     fault = FILE_FAULTS[name]
-    if not fuzz_seeds.of(fault.seed):
+    if not seeds.of(fault.seed):
         pytest.skip(f"LANDFIX_DATA holds no log of kind {fault.seed}")
     said = said_of(fault, np.random.default_rng(1))
     assert any(word in said for word in fault.words), said

@@ -1,4 +1,4 @@
-"""Small real files of each format, that benchmarks.service.fuzz_files changes; logs of LANDFIX_DATA, cut, where that is there."""
+"""Small real files of each format, that benchmarks.attacks.damaged changes; logs of LANDFIX_DATA, cut, where that is there."""
 
 import gzip
 import json
@@ -26,7 +26,7 @@ _RING = [[8.5, 47.4], [8.5002, 47.4], [8.5002, 47.4001], [8.5, 47.4001], [8.5, 4
 
 
 def of(name: str) -> list[bytes]:
-    """The seeds of a format of fuzz_files; none where its data are absent."""
+    """The seeds of a format of damaged; none where its data are absent."""
     match name:
         case "ulog" | "dataflash" | "tlog":
             folder = Path(os.environ.get("LANDFIX_DATA", "../shared/data")) / "native_logs"

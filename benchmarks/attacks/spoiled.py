@@ -1,4 +1,8 @@
-"""What benchmarks.service.fuzz sends: flights in which some messages are spoiled, as records, as bytes, or as MAVLink frames."""
+"""Flights in which 2, 20 or 60 % of the messages are spoiled, as records, as bytes, or as MAVLink frames.
+
+Fields of the record (NaN, infinite, huge, denormal, negative), covariances (zero, asymmetric, indefinite), stamps (late, early,
+twice, far away), then bytes (torn, longer, bits, counts of 2^32 - 1, another type). The last two seconds are whole.
+"""
 
 import math
 from collections.abc import Callable, Iterator
@@ -105,16 +109,8 @@ def _measured(kind: str, t_ns: int, rng: Rng) -> list[Input]:
     if kind == "tick":
         return [Tick(t_ns, t_ns)]
     if kind == "baro":
-        return [
-            Reading(
-                t_ns,
-                t_ns,
-                "/baro",
-                "baro",
-                (101_325.0 * (1.0 - 2.25577e-5 * (ORIGIN.alt_m + 40.0)) ** 5.25588 + rng.normal(0.0, 2.0),),
-                4.0 * np.eye(1),
-            )
-        ]
+        pa = 101_325.0 * (1.0 - 2.25577e-5 * (ORIGIN.alt_m + 40.0)) ** 5.25588 + rng.normal(0.0, 2.0)
+        return [Reading(t_ns, t_ns, "/baro", "baro", (pa,), 4.0 * np.eye(1))]
     if kind == "gnss":
         return gnss(t_ns, rng)
     fix = pose_fix(t_ns, rng)
@@ -148,20 +144,9 @@ def _landmark(fix: PoseFix, rng: Rng) -> LandmarkFix:
 # --- spoiled ---------------------------------------------------------------------------------------------------------------
 
 _KINDS: Final = (
-    "imu",
-    "imu",
-    "tick",
-    "baro",
-    "gnss",
-    "pose",
-    "pose",
-    "landmark",
-    "landmark",
-    "landmark",
-    "attitude",
-    "checkpoint",
+    "imu", "imu", "tick", "baro", "gnss", "pose", "pose", "landmark", "landmark", "landmark", "attitude", "checkpoint",
     "unusable",
-)
+)  # fmt: skip
 
 
 def _spoiled(rng: Rng, t_ns: int, packer: "_Packer | None") -> list[Sent]:
@@ -286,17 +271,9 @@ def _pick(rng: Rng, among: Any) -> Any:
 _EXTREMES: Final = {"f": _NUMBERS, "d": _NUMBERS}
 _BITS: Final = {"b": 8, "h": 16, "i": 32, "q": 64}
 _HEARD: Final = (
-    "HIGHRES_IMU",
-    "RAW_IMU",
-    "SCALED_IMU",
-    "GPS_RAW_INT",
-    "GPS2_RAW",
-    "ATTITUDE",
-    "HEARTBEAT",
-    "TIMESYNC",
-    "SYSTEM_TIME",
+    "HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "GPS_RAW_INT", "GPS2_RAW", "ATTITUDE", "HEARTBEAT", "TIMESYNC", "SYSTEM_TIME",
     "COMMAND_ACK",
-)
+)  # fmt: skip
 
 
 class _Packer:

@@ -1,4 +1,8 @@
-"""One flight of benchmarks.service.fuzz, driven as the daemon drives its messages, and what must not happen in it."""
+"""Flights with spoiled messages, driven as the daemon drives them.
+
+What must not happen: an exception anywhere, a decision "internal", an estimate that is not sound, one that ends although the IMU
+goes on, a message that takes more than half a second.
+"""
 
 import re
 import sys
@@ -6,14 +10,14 @@ import time
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
-import msgspec
 import numpy as np
 
-from benchmarks.service.fuzz_messages import BEGIN_NS, SECOND, Datagram, flight
+from benchmarks.attacks.cell import Row
+from benchmarks.attacks.spoiled import BEGIN_NS, SECOND, Datagram, flight, per_flight
 from benchmarks.service.vehicle import ORIGIN
 from estimator.config import parse
 from estimator.filter.alignment import Decision
@@ -30,6 +34,8 @@ from logs.wire.codec import Encoded, encode_input
 from models import state
 from models.messages import AidStatus, Estimate, Input, Output, Reason
 
+AREA: Final = "spoiled messages"
+SEEDS: Final = range(1, 5)
 CONFIG: Final = f"""
 [map]
 origin = {[*ORIGIN.lla]}
@@ -43,29 +49,34 @@ attitude_sigma_deg = [1.0, 3.0]
 _WITHOUT_MAP: Final = CONFIG.replace(f"[map]\norigin = {[*ORIGIN.lla]}\n", "")
 _WIRE_NS: Final = 2**31 * SECOND  # no stamp from the wire is beyond
 _SLOW_S: Final = 0.5  # of processor time, for one message
-_REDUCE_S: Final = 20.0
 _ENDED: Final = "the estimate has ended"
-_kinds_reduced: set[str] = set()  # by this process
 _warmed: list[bool] = []
 
 
-class Finding(msgspec.Struct, frozen=True):
-    """What must not happen; reproduction: what to do to see it."""
-
-    what: str
-    count: int
-    detail: str
-    reproduction: str
-
-
-class FlightResult(msgspec.Struct, frozen=True):
-    """Of one flight; reasons: "kind reason" -> decisions."""
+class Flown(NamedTuple):
+    """One flight: messages, spoiled ones, decisions by "kind reason", slowest message, what must not happen."""
 
     messages: int
     spoiled: int
-    reasons: dict[str, int]
-    slowest_ms: float
-    findings: list[Finding]
+    reasons: Counter[str]
+    slowest_s: float
+    findings: list[str]
+
+
+def rows(_: Path, count: int, wanted: Callable[[str, str], bool]) -> Iterator[Row]:
+    """One a seed: what became of a share of 100 times so many messages."""
+    flights = -(-100 * count // per_flight() // len(SEEDS))
+    for seed in SEEDS:
+        name = f"{flights} flights of seed {seed}"
+        if not wanted(AREA, name):
+            continue
+        flown = [fly(seed, number) for number in range(flights)]
+        reasons = sum((f.reasons for f in flown), Counter[str]())
+        found = list(dict.fromkeys(finding for f in flown for finding in f.findings))
+        said = f"{sum(f.messages for f in flown)} messages, {sum(f.spoiled for f in flown)} spoiled; "
+        said += ", ".join(f"{n} {reason}" for reason, n in sorted(reasons.items()))
+        slowest_s = round(max(f.slowest_s for f in flown), 3)
+        yield Row(AREA, name, "failed" if found else "held", "; ".join(found[:20]), 0, slowest_s, said)
 
 
 class _Watched(Fusion):
@@ -126,9 +137,8 @@ class _Flight:
         self.link.close()
         self.line = _Line()
         self.link._endpoint, self.link._stopping = self.line, False
-        self.handed: list[Input] = []  # to Fusion
+        self.handed = 0  # messages to Fusion
         self.reasons: Counter[str] = Counter()
-        self.wrong: Counter[str] = Counter()
         self.first: dict[str, tuple[int, str]] = {}  # what -> how much was handed before, what was said
         self.estimated_ns: int | None = None
 
@@ -159,11 +169,10 @@ class _Flight:
 
     def note(self, what: str, detail: str) -> None:
         """Something that must not happen."""
-        self.wrong[what] += 1
-        self.first.setdefault(what, (len(self.handed), detail))
+        self.first.setdefault(what, (self.handed, detail))
 
     def _handle(self, message: Input) -> None:
-        self.handed.append(message)
+        self.handed += 1
         outputs = [o for o in self.fusion.handle(message) if abs(o.t_ns) < _WIRE_NS]
         encoded = list(self.publisher.encoded(outputs))
         self.link.send(outputs, encoded)
@@ -183,7 +192,7 @@ class _Flight:
                 self.note("an estimate that is not sound", f"{output}")
 
 
-def fly(seed: int, number: int) -> FlightResult:
+def fly(seed: int, number: int) -> Flown:
     """One flight and what was found in it."""
     warnings.simplefilter("ignore")  # of numpy, about numbers that are none
     if not _warmed:
@@ -206,55 +215,9 @@ def fly(seed: int, number: int) -> FlightResult:
             early_ns = flown.estimated_ns
     if early_ns > BEGIN_NS and flown.now_ns - (flown.estimated_ns or 0) > SECOND // 2:
         flown.note(_ENDED, f"last at {((flown.estimated_ns or 0) - BEGIN_NS) * 1e-9:.2f} s")
-    findings = [_finding(flown, what, text, seed, number, reduce=k == 0) for k, what in enumerate(flown.wrong)]
-    return FlightResult(len(sent), sum(s.spoiled for s in sent), dict(flown.reasons), round(1e3 * slowest_s, 1), findings)
-
-
-# --- reproductions ----------------------------------------------------------------------------------------------------------
-
-
-def _finding(flown: _Flight, what: str, text: str, seed: int, number: int, *, reduce: bool) -> Finding:
-    """reduce: it is the first of its flight, no consequence of another."""
-    count, detail = flown.first[what]
-    again = f"python -c 'from benchmarks.service.fuzz_flight import fly; print(fly({seed}, {number}).findings)'"
-    if reduce and what not in _kinds_reduced and what != _ENDED:
-        _kinds_reduced.add(what)
-        left = _reduced(flown.handed[:count], lambda inputs: what in _errors_of(inputs, text))
-        config = "" if text is CONFIG else " without [map]"
-        shown = "\n".join(f"    {message}"[:1500] for message in left if not _is_plain(message))
-        plain = Counter(type(m).__name__ for m in left if _is_plain(m))
-        again += f"\nreduced from {count} to {len(left)} messages{config}: plain ones {dict(plain)}, and\n{shown}"
-    return Finding(what, flown.wrong[what], detail, again)
-
-
-def _errors_of(inputs: Sequence[Input], text: str) -> set[str]:
-    flown = _Flight(text)
-    for message in inputs:
-        flown.now_ns = message.arrived_ns
-        flown.take(message)
-        if flown.wrong:
-            break
-    return set(flown.wrong)
-
-
-def _reduced(inputs: list[Input], fails: Callable[[list[Input]], bool]) -> list[Input]:
-    """Fewer messages that fail the same way (delta debugging: Zeller and Hildebrandt 2002), as far as the time goes."""
-    end_s, size = time.monotonic() + _REDUCE_S, len(inputs) // 2
-    while size:
-        begin = 0
-        while begin < len(inputs) and time.monotonic() < end_s:
-            fewer = inputs[:begin] + inputs[begin + size :]
-            if fails(fewer):
-                inputs = fewer
-            else:
-                begin += size
-        size //= 2
-    return inputs
-
-
-def _is_plain(message: Input) -> bool:
-    """Of the flight, and too many to be shown."""
-    return type(message).__name__ in {"ImuSample", "Tick"} and BEGIN_NS <= message.t_ns <= message.arrived_ns
+    again = f"benchmarks.attacks.flown.fly({seed}, {number})"
+    findings = [f"{what}: {detail[:300]} ({again}, after {count} messages)" for what, (count, detail) in flown.first.items()]
+    return Flown(len(sent), sum(s.spoiled for s in sent), flown.reasons, slowest_s, findings)
 
 
 def _place_of(error: BaseException | None) -> str:
