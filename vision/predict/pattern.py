@@ -19,7 +19,7 @@ from vision.identify.sightings import one_eyed
 from vision.image.reduced import levels
 from vision.outline.visibility import Prisms
 from vision.pose.point_pose import PointConfig, Points, fit_points
-from vision.pose.pose import difference
+from vision.pose.pose import PoseEstimate, difference
 from vision.pose.sensitivity import Eye, eyes
 from vision.predict.coarse_search import CoarseConfig, limit_px
 from vision.predict.edge_points import chromas, edge_points
@@ -64,15 +64,15 @@ def judged(
     pair = images.left is not None and images.right is not None  # it has more to say: an exchange, disparities
     if not narrow and (trusted or pair or len(marks) < _SEVERAL):
         return result
-    best = best_shift(eye, images, marks, move, config)
+    fitted = None if result.pose is None else _moved(result.pose, move)
+    best = best_shift(eye, images, marks, move, config, None if fitted is None else fitted[2:])
     if isinstance(best, str):
         remark = f"{result.report.detail}; {best}" if best and result.fix is None else result.report.detail
         return replace(result, report=msgspec.structs.replace(result.report, detail=remark))
-    if result.pose is None:
+    if fitted is None:
         sure = best.ratio >= SURE
         return _as_fix(result, one_eyed(rig, right=images.only_right), marks, move, best, alone=alone) if sure else result
-    error = difference(result.pose.joint_p_n, result.pose.joint_R_nb, move.prior.p_n, move.prior.q_nb_wxyz)
-    off_px = float(np.linalg.norm(move.J[:2] @ error - best.q[:2]))
+    off_px = float(np.linalg.norm(fitted[:2] - best.q[:2]))
     if off_px > _APART_PX * best.step_px:
         return refused(result, "no_pose", f"all outlines together lie {off_px:.0f} px from the fit")
     if best.ratio < _LIKELY:
@@ -80,16 +80,25 @@ def judged(
     return result
 
 
+def _moved(pose: PoseEstimate, move: Motion) -> Array:
+    return move.J @ difference(pose.joint_p_n, pose.joint_R_nb, move.prior.p_n, move.prior.q_nb_wxyz)
+
+
 def _only_shifts(move: Motion, config: CoarseConfig) -> bool:
     ends_px = config.sigmas * max(move.turn_rad, move.log_scale) * move.radius
     return move.roof_px < _ROOF_PX and ends_px <= _STIFF_PX
 
 
-def best_shift(eye: Eye, images: Images, marks: Sequence[Landmark], move: Motion, config: CoarseConfig) -> Summit | str:
-    """Likeliest shift, turn and scale, or the reason; empty with nothing in view."""
+def best_shift(
+    eye: Eye, images: Images, marks: Sequence[Landmark], move: Motion, config: CoarseConfig, fitted: Array | None = None
+) -> Summit | str:
+    """Likeliest shift, turn and scale, or the reason; empty with nothing in view.
+
+    fitted (2,): turn and log scale of a fit, searched alone where all are too many.
+    """
     image = images.right if images.only_right else images.left
     assert image is not None
-    found = _grid(move, config)
+    found = _grid(move, config, fitted)
     if isinstance(found, str):
         return found
     size, turned, su, sv = found
@@ -107,7 +116,7 @@ def best_shift(eye: Eye, images: Images, marks: Sequence[Landmark], move: Motion
     return summit(np.array(scores), turned, su, sv, move.covariance, _APART_PX * size)
 
 
-def _grid(move: Motion, config: CoarseConfig) -> tuple[int, Array, Array, Array] | str:
+def _grid(move: Motion, config: CoarseConfig, fitted: Array | None) -> tuple[int, Array, Array, Array] | str:
     """Reduction, turns and log scales (T, 2), shifts u (U,), v (V,) [px], or the reason.
 
     Neighbours differ by _STIFF_PX at the ends; the image is reduced until roofs are narrow.
@@ -125,6 +134,8 @@ def _grid(move: Motion, config: CoarseConfig) -> tuple[int, Array, Array, Array]
         if len(turned) * len(su) * len(sv) <= _MOST:
             return size, turned, su, sv
         if move.roof_px / (2 * size) < _NARROWEST_PX:
+            if fitted is not None:
+                return size, fitted[None], su, sv
             most = max(_MOST / (len(scales) * len(su) * len(sv)) - 1.0, 0.0) * step / (2.0 * config.sigmas)
             return (
                 f"all outlines together not searched: heading open by {math.degrees(move.turn_rad):.1f} deg (1 sigma), with this "

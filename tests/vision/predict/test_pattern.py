@@ -214,6 +214,16 @@ def test_with_an_open_heading_a_fit_of_small_roofs_must_be_the_one_position() ->
     assert "px from the fit" in elsewhere.report.detail
 
 
+@pytest.mark.parametrize(("off_m", "stays"), [(0.0, True), (12.0, False)])
+def test_a_fit_is_judged_at_its_own_heading_where_not_all_can_be_searched(off_m: float, stays: bool) -> None:
+    yaw, sigma_m = math.radians(10.0), 40.0
+    assert "not searched" in asked(VILLAGE, VILLAGE, yaw_rad=yaw, sigma_m=sigma_m)[0].report.detail
+    fitted = fitted_at(TRUTH + np.array([off_m, 0.0, 0.0]))
+    result, _ = asked(VILLAGE, VILLAGE, yaw_rad=yaw, sigma_m=sigma_m, yaw_off=math.radians(7.0), result=fitted)
+    assert (result is fitted) is stays
+    assert (result.fix is None) is not stays
+
+
 @pytest.mark.parametrize(("sigmas", "found"), [(4.0, True), (4.8, False)])
 def test_two_directions_are_judged_as_two(sigmas: float, found: bool) -> None:
     """99.99 % of a prior lie within 4.3 sigma of two directions; of six, which are not measured here, within 5.3."""
