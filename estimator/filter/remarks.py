@@ -7,7 +7,7 @@ import numpy as np
 
 from estimator.filter.conflict import Apart
 from estimator.filter.hypotheses import Hypotheses
-from estimator.filter.mismatch import Delays, Jamming, PathScale, Scatter, delay
+from estimator.filter.mismatch import Delays, Frame, Jamming, Scatter, delay
 from estimator.filter.relative import drift
 from estimator.sources.base.machine import SourceState
 from estimator.sources.odometry import DRIFT, WRONG, drift_block
@@ -39,9 +39,9 @@ def apart(found: Mapping[str, Apart]) -> list[str]:
     ]
 
 
-def units(path_scale: PathScale, absolute: Iterable[str]) -> list[str]:
-    """Fixes in a wrong unit."""
-    return [*filter(None, (path_scale.objection(topic) for topic in sorted(absolute)))]
+def frames(known: Mapping[str, Frame]) -> list[str]:
+    """Fixes in other axes or in another unit."""
+    return [f"{topic}: {frame.says}" for topic, frame in sorted(known.items()) if frame.says]
 
 
 def heading(topic: str) -> str:

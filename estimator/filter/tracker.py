@@ -26,7 +26,7 @@ from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.hypotheses import Hypotheses, Hypothesis, Verdict
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.imu_evidence import FELT, ImuEvidence
-from estimator.filter.mismatch import BiasWalk, Delays, Jamming, PathScale, Scatter, delay, speed_step
+from estimator.filter.mismatch import BiasWalk, Delays, Frame, Jamming, Scatter, delay, speed_step
 from estimator.filter.relative import steps
 from estimator.filter.relinearise import Stretch
 from estimator.filter.variance_factor import NO_EXCESS
@@ -72,7 +72,8 @@ class Tracker:
         self.last_odometry_ns = NEVER
         self.kept: dict[str, Kept] = {}  # poses that the filters keep, by topic of odometry
         self.anchor: GnssAnchor | None = None
-        self.path_scale = PathScale()
+        self.frames: dict[str, Frame] = {}  # of pose sources; never changed in place
+        self.receiver_n: Array | None = None  # newest position of a receiver
         self.delays: Delays = {}
         self.late_cov: Array | None = None  # (3, 3) of the position, by a delay that the newest fix may have
         self.speed_steps: speed_step.Steps = {}
@@ -96,7 +97,7 @@ class Tracker:
         other.core.receivers = core.receivers
         other.sources, other.place, other.anchor = self.sources.copy(), self.place, self.anchor
         other.alignment.given_up = self.alignment.given_up
-        other.path_scale, other.delays, other.bias_walk = self.path_scale, self.delays, self.bias_walk
+        other.frames, other.receiver_n, other.delays, other.bias_walk = self.frames, self.receiver_n, self.delays, self.bias_walk
         return other
 
     @property
@@ -187,6 +188,8 @@ class Tracker:
             return self.alignment.plausibility.detail or contradiction.SAYS
         if core.hypotheses is not None:
             return "" if core.is_aligned else lacks(core.hypotheses, core.config.initialise)
+        if wrong := remarks.frames(self.frames):
+            return "; ".join(wrong)
         return AT_REST if self.alignment.still else NO_POSITION
 
     @property
@@ -202,7 +205,7 @@ class Tracker:
             *([remarks.two_headings(two)] if two is not None and undecided else ()),
             *filter(None, (self._conflict(), remarks.heading(beside.topic) if beside is not None else "")),
             *(remarks.apart(core.conflicts.apart) if core.is_aligned and not self._conflict() else ()),
-            *remarks.units(self.path_scale, core.absolute),
+            *remarks.frames(self.frames),
             *remarks.drifts(core.hypotheses),
             *remarks.wrong(self.sources),
             *remarks.refuted(self.sources, core.t_ns),
@@ -292,10 +295,9 @@ class Tracker:
             self._forget_estimated(aid, z)
             self.held_ns = {**self.held_ns, aid.topic: aid.t_ns}
             return Decision(Reason.HELD, detail=held.SAYS)
-        self.path_scale = self.path_scale.also(aid, z)
-        if why := self.path_scale.objection(aid.topic):
-            if self.sources.get(aid.topic, _UNKNOWN).fused_ns > NEVER and self.path_scale.last is not None:
-                self._leave(self.path_scale.last[1])
+        if why := self._in_other_frame(aid, z, samples):
+            if self.sources.get(aid.topic, _UNKNOWN).fused_ns > NEVER:
+                self._leave(self.receiver_n)
             self.sources[aid.topic] = _UNKNOWN
             return Decision(Reason.IMPLAUSIBLE, detail=why)
         if isinstance(z, Heading):
@@ -498,10 +500,23 @@ class Tracker:
         others = self.core.absolute - {aid.topic, aid.witness} - without
         return not any((aid.t_ns - self.sources.get(topic, _UNKNOWN).fused_ns) * 1e-9 < aid.rules.timeout_s for topic in others)
 
-    def _leave(self, position_n: Array) -> None:
+    def _in_other_frame(self, aid: Aid, z: Measurement, samples: ImuBuffer) -> str:
+        """What the fixes of the source give in place of north, east and down in metres; "" for nothing."""
+        if aid.geodetic and isinstance(z, Position) and len(z.rows) == _XYZ:
+            self.receiver_n = z.z_n
+        if not (aid.absolute and isinstance(z, Pose) and z.attitude == "full" and len(z.rows) == 2 * _XYZ):
+            return ""
+        known = self.frames.get(aid.topic)
+        now = Frame.of(aid.t_ns, z.z_n, z.q_nb_wxyz) if known is None else known.also(aid.t_ns, z.z_n, z.q_nb_wxyz, samples)
+        if now is not known:
+            self.frames = {**self.frames, aid.topic: now}
+        return now.says or ""
+
+    def _leave(self, position_n: Array | None) -> None:
+        """Begin again from the position of a receiver, or from nothing."""
         core = self.core
         core.variance_factor = NO_EXCESS
-        if not core.is_aligned or core.hypotheses is None:
+        if not core.is_aligned or core.hypotheses is None or position_n is None:
             self.alignment.begin_again()
             return
         del core.hypotheses.members[1:]

@@ -3,8 +3,8 @@
 from estimator.filter.mismatch import delay, speed_step
 from estimator.filter.mismatch.bias_walk import BiasWalk
 from estimator.filter.mismatch.delay import Delays
+from estimator.filter.mismatch.frame import Frame
 from estimator.filter.mismatch.jamming import Jamming
-from estimator.filter.mismatch.path_scale import PathScale
 from estimator.filter.mismatch.scatter import Scatter
 
-__all__ = ["BiasWalk", "Delays", "Jamming", "PathScale", "Scatter", "delay", "speed_step"]
+__all__ = ["BiasWalk", "Delays", "Frame", "Jamming", "Scatter", "delay", "speed_step"]

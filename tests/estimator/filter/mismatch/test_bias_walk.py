@@ -197,5 +197,5 @@ def test_a_restarted_estimate_keeps_what_was_estimated_of_the_sensors() -> None:
     tracker.bias_walk = BiasWalk(factor=100.0)
     again = tracker.restarted()
     assert again.bias_walk.factor == 100.0
-    assert again.path_scale is tracker.path_scale
+    assert again.frames is tracker.frames
     assert again.delays == tracker.delays

@@ -1,0 +1,148 @@
+"""Axes and unit of fixes, by the accelerations that the IMU feels (docs/decision.md).
+
+    d = (p_2 - p_1) / h_2 - (p_1 - p_0) / h_1,     a = s_2 / h_2 - s_1 / h_1 + u_1,     d = k M a + c + e
+
+h: between fixes at least a second apart, s; u, s: first and second integral of R f + g, R from the attitude of the fix and the
+gyroscope. M: signed permutation of north, east, down; k = 1, or a unit's. The attitude may be in ENU and FLU: T R F.
+
+    RSS(k M) = S_dd - 2 k tr(M^T S_da) + k^2 S_aa        (Umeyama 1991)
+
+Another frame: n ln RSS(I) / RSS(k M) > 20, and no linear map is better: n ln RSS(k M) / RSS < 5.
+"""
+
+import itertools
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.filter.imu_buffer import ImuBuffer
+from models import imu, so3
+from models.frames import ENU_FROM_NED, FLU_FROM_FRD, GRAVITY
+from models.messages import Array
+from models.state import X
+
+_SPACING_NS, _LONGEST_NS = 1_000_000_000, 3_000_000_000  # of two fixes that are compared
+_ANEW_S = 60.0  # the sums begin anew
+_FEWEST = 8
+_EVIDENCE, _WORSE = 20.0, 5.0  # ln of the ratio of two frames; of a frame to any linear map
+_LEFT = np.array([0.6, 0.35])[:, None, None]  # share of the power that the frame may leave unexplained: k = 1, another
+_TURN_LEFT = 0.35  # share of the rotation that the attitudes may
+_HEAVY_M_S = 3.0  # mean of a, downwards: the attitude is not that of gravity
+_NO_UNIT = 0.5, 2.0  # no unit is so near to a metre
+_UNITS = {100.0: "centimetres", 1000.0: "millimetres", 1 / 0.3048: "feet", 0.001: "kilometres"}
+_NEAR = 0.15  # ln: a scale that near a unit's is that unit
+_MAPS = np.array(
+    [np.diag(s) @ np.eye(3)[list(p)] for p in ((0, 1, 2), (1, 0, 2)) for s in itertools.product((1.0, -1.0), repeat=3)]
+)
+_CHANGES = 3.0 - np.trace(_MAPS, axis1=1, axis2=2)  # of two that are as good, the one with fewer
+_NAMES = (("north", "south"), ("east", "west"), ("down", "up"))
+_G = np.array([0.0, 0.0, GRAVITY])
+_CONSTANTS = imu.constants(imu.ImuNoise(), imu.Coast(), None)
+_AT_REST = np.eye(1, X.SIZE, X.Q.start)[0]
+_XYZ, _TINY = 3, 1e-12
+
+
+class Way(NamedTuple):
+    """From one fix to the next: mean velocity by the fixes, s / h and u by the IMU, with each attitude, (2, 3)."""
+
+    by_fixes: Array
+    mean: Array
+    gained: Array
+
+
+class Moments(NamedTuple):
+    """Sums over pairs of ways since t0_ns: of (1, a, d), (2, 7, 7); squared rotation; what the attitudes leave of it, (2,)."""
+
+    t0_ns: int
+    sums: Array
+    rotation: float
+    left: Array
+
+    def also(self, before: Way, way: Way) -> "Moments":
+        """With one more pair."""
+        a = way.mean - before.mean + before.gained
+        rows = np.concatenate((np.ones((2, 1)), a, np.tile(way.by_fixes - before.by_fixes, (2, 1))), axis=1)
+        return self._replace(sums=self.sums + rows[:, :, None] * rows[:, None, :])
+
+    def turned(self, gyro: Array, by_fixes: Array) -> "Moments":
+        """With one more rotation (3,), and that of the fixes with each attitude, (2, 3)."""
+        left = np.sum((by_fixes - gyro) ** 2, axis=1)
+        return self._replace(rotation=self.rotation + float(gyro @ gyro), left=self.left + left)
+
+    @property
+    def verdict(self) -> tuple[int, Array, float] | None:
+        """Attitude, M and k by which the IMU explains the fixes, and no other does; None: not shown."""
+        n = self.sums[0, 0, 0]
+        if n < _FEWEST:
+            return None
+        centred = self.sums[:, 1:, 1:] - self.sums[:, 1:, :1] * self.sums[:, :1, 1:] / n
+        s_a, s_da, s_d = centred[:, :_XYZ, :_XYZ], centred[:, _XYZ:, :_XYZ], max(float(np.trace(centred[0, _XYZ:, _XYZ:])), _TINY)
+        s_aa = np.maximum(np.trace(s_a, axis1=1, axis2=2), _TINY)[:, None]
+        along = np.einsum("vij,mij->vm", s_da, _MAPS)
+        k = np.maximum(along, 0.0) / s_aa
+        k = np.stack((np.ones_like(k), np.where((k > _NO_UNIT[0]) & (k < _NO_UNIT[1]), 1.0, k)))
+        left = (s_d - 2.0 * k * along + k * k * s_aa) / s_d  # (k, attitude, M)
+        free = 1.0 - np.einsum("vij,vij->v", s_da, s_da @ np.linalg.pinv(s_a, hermitian=True)) / s_d
+        cost = n * np.log(np.maximum(left, _TINY)) + _CHANGES
+        wrong = (self.left > _TURN_LEFT * self.rotation) | (np.abs(self.sums[:, 0, _XYZ]) > _HEAVY_M_S * n)
+        at = np.unravel_index(int(np.where((left > _LEFT) | wrong[:, None], math.inf, cost).argmin()), left.shape)
+        best, asked = float(cost[at]), float(cost[0, 0, 0])
+        is_explained = left[at] < _LEFT[at[0]] and not wrong[at[1]]
+        if not is_explained or best > n * math.log(max(float(free[at[1]]), _TINY)) + _CHANGES[at[2]] + _WORSE:
+            return None
+        cost[:, at[1], at[2]] = math.inf
+        other = asked if any(at) else float(cost.min())
+        return (int(at[1]), _MAPS[at[2]], float(k[at])) if other - best > _EVIDENCE else None
+
+
+class Frame(NamedTuple):
+    """Of one source: its last fix, the way to it, the sums; says: what it gives instead, "" right, None not shown."""
+
+    t_ns: int
+    p_n: Array
+    q_nb_wxyz: Array
+    way: Way | None
+    moments: Moments
+    says: str | None = None
+
+    @classmethod
+    def of(cls, t_ns: int, p_n: Array, q_nb_wxyz: Array) -> "Frame":
+        """At its first fix."""
+        return cls(t_ns, p_n, q_nb_wxyz, None, _nothing(t_ns))
+
+    def also(self, t_ns: int, p_n: Array, q_nb_wxyz: Array, samples: ImuBuffer) -> "Frame":
+        """With one more fix."""
+        between_ns = t_ns - self.t_ns
+        if self.says == "" or 0 <= between_ns < _SPACING_NS:
+            return self
+        i = samples.first_after(self.t_ns)
+        if not 0 < between_ns <= _LONGEST_NS or i == 0:
+            return self._replace(t_ns=t_ns, p_n=p_n, q_nb_wxyz=q_nb_wxyz, way=None)
+        x = imu.moved(_AT_REST, samples.t_ns, samples.u, samples.count, i, self.t_ns, t_ns, _CONSTANTS)
+        h, R = between_ns * 1e-9, so3.matrix(self.q_nb_wxyz)
+        both = np.stack((R, ENU_FROM_NED @ R @ FLU_FROM_FRD))
+        mean, gained = both @ (x[X.P] / h - 0.5 * h * _G) + 0.5 * h * _G, both @ (x[X.V] - h * _G) + h * _G
+        way = Way((p_n - self.p_n) / h, mean, gained)
+        turn = so3.quat_log(so3.multiply(so3.conjugate(self.q_nb_wxyz), q_nb_wxyz))
+        moments = self.moments if (t_ns - self.moments.t0_ns) * 1e-9 < _ANEW_S else _nothing(t_ns)
+        moments = moments.turned(so3.quat_log(x[X.Q]), np.stack((turn, FLU_FROM_FRD @ turn)))
+        if self.way is not None:
+            moments = moments.also(self.way, way)
+        found = moments.verdict
+        says = self.says if found is None else _words(*found)
+        return Frame(t_ns, p_n, q_nb_wxyz, way, moments, self.says if self.says and says else says)
+
+
+def _words(attitude: int, m: Array, k: float) -> str:
+    axes = [_NAMES[a][int(m[row, a] < 0.0)] for row, a in enumerate(np.abs(m).argmax(axis=1))]
+    words = [f"positions are ({', '.join(axes)})"] if axes != ["north", "east", "down"] else []
+    words += ["attitudes are in ENU and FLU"] if attitude else []
+    if k != 1.0:
+        unit = next((f": {name}?" for ratio, name in _UNITS.items() if abs(math.log(k / ratio)) < _NEAR), "")
+        words.append(f"positions are {k:.3g} times the metres{unit}")
+    return f"against the IMU its {', its '.join(words)}, not (north, east, down) in metres" if words else ""
+
+
+def _nothing(t_ns: int) -> Moments:
+    return Moments(t_ns, np.zeros((2, 7, 7)), 0.0, np.zeros(2))

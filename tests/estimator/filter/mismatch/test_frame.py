@@ -1,0 +1,142 @@
+"""Axes and unit of pose fixes, by the IMU: the frame that they are in is named, and nothing else is taken for one."""
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+from scipy.spatial.transform import Rotation
+
+from estimator.filter.imu_buffer import ImuBuffer
+from estimator.filter.mismatch import Frame
+from models.frames import ENU_FROM_NED, FLU_FROM_FRD
+from models.messages import ImuSample, Input, PoseFix, Reason, vec3
+from models.sim.scenario import EPOCH_NS, Simulation
+from tests.estimator.scenes import SECOND, fly, position_errors, radii, simulated, within
+
+Change = Callable[[PoseFix], PoseFix]
+_FLIGHT = 'duration_s = 60.0\n[vehicle]\nkind = "{kind}"\n[imu]\nrate_hz = 100.0\n[pose_fix]\nrate_hz = 2.0\n'
+SWAPPED = "positions are (east, north, up)"
+
+
+@pytest.fixture(scope="module", params=["multirotor", "fixed_wing"])
+def flight(request: pytest.FixtureRequest) -> Simulation:
+    return simulated(_FLIGHT.format(kind=request.param), seed=3)
+
+
+def _moved(fix: PoseFix, m: object) -> PoseFix:
+    return replace(fix, p_n=vec3(np.asarray(m) @ np.array(fix.p_n)))
+
+
+def _turned(fix: PoseFix, change: Callable[[Rotation], Rotation]) -> PoseFix:
+    w, x, y, z = change(Rotation.from_quat(fix.q_nb_wxyz, scalar_first=True)).as_quat(scalar_first=True).tolist()
+    return replace(fix, q_nb_wxyz=(w, x, y, z))
+
+
+def _enu(fix: PoseFix) -> PoseFix:
+    T, F = ENU_FROM_NED, FLU_FROM_FRD
+    return _turned(_moved(fix, T), lambda R: Rotation.from_matrix(T @ R.as_matrix() @ F))
+
+
+def _late(fix: PoseFix) -> PoseFix:
+    return replace(fix, t_ns=fix.t_ns + SECOND // 4)
+
+
+def _said(messages: Sequence[Input], change: Change) -> str | None:
+    samples, frame = ImuBuffer(), None
+    for m in messages:
+        if isinstance(m, ImuSample):
+            samples.insert(m)
+    for m in sorted((change(m) for m in messages if isinstance(m, PoseFix)), key=lambda fix: fix.t_ns):
+        p_n, q = np.array(m.p_n), np.array(m.q_nb_wxyz)
+        frame = Frame.of(m.t_ns, p_n, q) if frame is None else frame.also(m.t_ns, p_n, q, samples)
+    return None if frame is None else frame.says
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda f: _moved(f, ENU_FROM_NED), SWAPPED),
+        (lambda f: _moved(f, np.diag([1.0, -1.0, 1.0])), "positions are (north, west, down)"),
+        (lambda f: _moved(f, np.diag([-1.0, -1.0, 1.0])), "positions are (south, west, down)"),
+        (_enu, f"{SWAPPED}, its attitudes are in ENU and FLU"),
+        (lambda f: _moved(f, 100.0 * np.eye(3)), "the metres: centimetres?"),
+        (lambda f: _moved(f, np.eye(3) / 0.3048), "the metres: feet?"),
+        (lambda f: _moved(f, 0.001 * np.eye(3)), "the metres: kilometres?"),
+        (lambda f: _moved(f, 7.0 * np.eye(3)), "the metres, not"),
+    ],
+)
+def test_fixes_in_other_axes_or_another_unit_are_named(flight: Simulation, change: Change, says: str) -> None:
+    said = _said(flight.messages, change)
+    assert said is not None
+    assert says in said
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda f: f,
+        _late,
+        lambda f: _moved(f, 1.3 * np.eye(3)),
+        lambda f: _turned(f, lambda R: Rotation.from_euler("z", 30.0, degrees=True) * R),
+        lambda f: _turned(f, lambda R: R * Rotation.from_euler("y", 15.0, degrees=True)),
+        lambda f: _turned(f, lambda R: R.inv()),
+        lambda f: replace(f, q_nb_wxyz=(1.0, 0.0, 0.0, 0.0)),
+        lambda f: _moved(f, np.zeros((3, 3))),
+        lambda f: replace(f, p_n=vec3(np.random.default_rng(f.t_ns).normal(0.0, 9.0, 3))),
+    ],
+    ids=["sound", "late", "scaled", "heading", "camera", "inverse", "no-attitude", "nowhere", "noise"],
+)
+def test_nothing_else_is_taken_for_a_frame(flight: Simulation, change: Change) -> None:
+    assert not _said(flight.messages, change)
+
+
+@pytest.mark.parametrize("angle_deg", [20.0, 90.0, 180.0])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_an_imu_that_is_mounted_otherwise_says_nothing_of_the_fixes(flight: Simulation, axis: int, angle_deg: float) -> None:
+    mount = Rotation.from_rotvec(np.radians(angle_deg) * np.eye(3)[axis])
+    messages = [
+        replace(m, gyro_b=vec3(mount.apply(m.gyro_b)), accel_b=vec3(mount.apply(m.accel_b))) if isinstance(m, ImuSample) else m
+        for m in flight.messages
+    ]
+    assert not _said(messages, lambda f: f)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_sound_fixes_are_in_their_frame_for_every_flight(seed: int) -> None:
+    toml = _FLIGHT.format(kind="multirotor").replace(
+        "rate_hz = 2.0", "rate_hz = 5.0\nsigma_m = [0.4, 0.4, 0.4]\noutlier_share = 0.05"
+    )
+    assert not _said(simulated(toml, seed).messages, lambda f: f)
+
+
+def test_once_shown_it_stays_until_the_fixes_are_right(flight: Simulation) -> None:
+    def until(fix: PoseFix, end_s: float) -> PoseFix:
+        return _moved(fix, np.eye(3) * (100.0 if fix.t_ns < EPOCH_NS + end_s * 1e9 else 1.0))
+
+    assert "centimetres" in (_said(flight.messages, lambda f: until(f, 60.0)) or "")
+    longer = simulated(_FLIGHT.format(kind="fixed_wing").replace("60.0", "200.0"), seed=3)
+    assert not _said(longer.messages, lambda f: until(f, 40.0))
+
+
+def test_a_flight_with_fixes_in_other_axes_alone_ends_the_estimate_with_the_reason() -> None:
+    flight = simulated(_FLIGHT.format(kind="fixed_wing"), seed=3)
+    run = fly(flight, messages=[_moved(m, ENU_FROM_NED) if isinstance(m, PoseFix) else m for m in flight.messages])
+    assert within(run.estimates, 5.0, 60.0)
+    assert not within(run.estimates, 40.0, 60.0)
+    assert SWAPPED in run.health[-1].detail
+    assert {s.reason for s in run.statuses[-5:]} == {Reason.IMPLAUSIBLE}
+    assert run.internal_errors() == []
+
+
+def test_beside_a_receiver_it_leads() -> None:
+    flight = simulated("duration_s = 60.0\n[imu]\nrate_hz = 100.0\n[gnss]\nrate_hz = 5.0\n[pose_fix]\nrate_hz = 2.0\n", seed=3)
+    scale = 100.0 * np.eye(3)
+    run = fly(flight, messages=[_moved(m, scale) if isinstance(m, PoseFix) else m for m in flight.messages])
+    found = within(run.estimates, 5.0, 60.0)
+    assert np.mean(position_errors(found, flight.truth) > 3.0 * radii(found)) < 0.01
+    assert position_errors(within(run.estimates, 45.0, 60.0), flight.truth).max() < 5.0
+    assert "centimetres?" in run.health[-1].detail
+    assert math.isfinite(run.health[-1].radius95_m)
+    assert run.internal_errors() == []
