@@ -17,7 +17,7 @@ from benchmarks.flights.tasks import ROOT, SETS, data_folder, tasks
 from benchmarks.jobs import run_jobs
 from benchmarks.tables import Table
 
-FLIGHT_SCENARIOS = "NABDLFXCG"
+FLIGHT_SCENARIOS = "NABDLFXCGVW"
 
 
 def main() -> None:

@@ -33,6 +33,8 @@ SCENARIOS = {
     "X": "as A, one fix in ten false",
     "C": "as A, consistent false fixes after each outage and within 38-42 s",
     "G": "position only, 5 Hz, outages 5, 10, 30 s",
+    "V": "real vision estimates of EuRoC as fixes, 2 Hz, no outage",
+    "W": "real vision estimates of EuRoC as fixes, outages as A",
 }
 ATTITUDE_GOOD = ("MH_", "V1_", "flight_a", "horiz_")  # flights whose true attitude is not tilted and does not lag
 

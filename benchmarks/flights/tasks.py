@@ -28,6 +28,11 @@ from models.messages import Array
 
 ROOT = Path(__file__).resolve().parents[2]
 SETS = {"euroc": "euroc", "tumvi": "tumvi_room", "quad": "quad_rtk_dot"}  # short name -> folder; all have attitude truth
+VISION = {"V": "N", "W": "A"}  # scenarios of real vision estimates as fixes -> the scenario whose outages they have
+VISION_NEAR_NS, VISION_BURN_NS = 100_000_000, 10_000_000_000
+VISION_SIGMA_M, VISION_SIGMA_RAD = 0.1, np.deg2rad(1.5)  # configured
+FIX_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+TYPES = {"/imu": "sensor_msgs/msg/Imu", "/truth": "nav_msgs/msg/Odometry"}
 MATCH_NS = 6_000_000  # an estimate belongs to a truth stamp if it is that near, as for the scoring tool
 INSIDE95 = 7.815  # chi-square, 3 degrees of freedom, 95 %
 
@@ -74,13 +79,14 @@ def flights(group: str) -> list[str]:
 
 
 def tasks(groups: list[str], scenarios: str, seeds: list[int], every: int = 1) -> list[Task]:
-    """All combinations; of each set every n-th flight."""
+    """All combinations; of each set every n-th flight. Vision estimates exist for euroc only, and have no seeds."""
     return [
         Task(group, flight, scenario, seed)
         for scenario in scenarios
         for group in groups
         for flight in flights(group)[::every]
         for seed in seeds
+        if scenario not in VISION or (group == "euroc" and seed == seeds[0])
     ]
 
 
@@ -90,6 +96,11 @@ def make(task: Task, folder: Path) -> Path | None:
     folder = folder / hashlib.sha256(source).hexdigest()[:8]
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{task.name}.mcap"
+    if task.scenario in VISION:
+        base = make(msgspec.structs.replace(task, scenario=VISION[task.scenario]), folder.parent)
+        if base is not None:
+            _exchange_fixes(base, path, task)
+        return path if base is not None else None
     if not path.with_suffix(".toml").exists():  # written last
         request = Namespace(flight=str(task.folder), scenario=task.scenario, seed=task.seed, out=str(path), toml=None)
         try:
@@ -98,6 +109,35 @@ def make(task: Task, folder: Path) -> Path | None:
         except SystemExit:  # the tool says "too short"
             return None
     return path
+
+
+def _exchange_fixes(base: Path, out: Path, task: Task) -> None:
+    """Write `base` again with EuRoC's real vision estimates, the first at or after each of its fixes, in their place.
+
+    Where vision starts late, the truth before that and in the 10 s after it is left out, and with it its score.
+    """
+    t = tool()
+    with base.open("rb") as f:
+        messages = [(m.log_time, c.topic, m.data) for _, c, m in make_reader(f).iter_messages(log_time_order=False)]
+    stamps_ns, vision = vision_poses(task)
+    wanted = np.array([log_time for log_time, topic, _ in messages if topic == "/pose_fix"])
+    row = np.minimum(np.searchsorted(stamps_ns, wanted), len(stamps_ns) - 1)  # never one from inside an outage
+    row = np.unique(row[np.abs(stamps_ns[row] - wanted) < VISION_NEAR_NS])
+    begin = int(stamps_ns[row[0]]) + VISION_BURN_NS
+    kept = [m for m in messages if m[1] == "/imu" or (m[1] == "/truth" and m[0] >= begin)]
+    events = [(log_time, 1, topic, t.STORE.deserialize_cdr(data, TYPES[topic])) for log_time, topic, data in kept]
+    covariance = np.diag([VISION_SIGMA_M**2] * 3 + [VISION_SIGMA_RAD**2] * 3).ravel()
+    for k in row:
+        pose = t.T["geometry_msgs/msg/PoseWithCovariance"](pose=vision[k], covariance=covariance)
+        header = t.header((stamps_ns[k] - t.EPOCH_NS) * 1e-9, "map")
+        events.append((int(stamps_ns[k]), 0, "/pose_fix", t.T[FIX_TYPE](header=header, pose=pose)))
+    writer = t.McapOut(out)
+    for log_time, _, topic, message in sorted(events, key=lambda e: e[:2]):
+        writer.write(topic, TYPES.get(topic, FIX_TYPE), message, log_time)
+    writer.close()
+    meta = json.loads(base.with_suffix(".json").read_text())
+    out.with_suffix(".json").write_text(json.dumps({**meta, "scenario": task.scenario}))
+    out.with_suffix(".toml").write_text(base.with_suffix(".toml").read_text())
 
 
 def vision_poses(task: Task) -> tuple[NDArray[np.int64], list[Any]]:

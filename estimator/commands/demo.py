@@ -24,12 +24,11 @@ def command(
 
     A multirotor flies over a mapped village. GPS is cut off, and landmarks in the images replace it. Then the lens is dark
     for twenty seconds. Later it flies over meadows without a landmark, and odometry carries the estimate. Writes input.mcap
-    (sensors, images, truth), demo.toml with rig.yaml and map.geojson (configuration), estimate.mcap, without_odometry.mcap, the
-    pictures demo.png (flight) and overlay.png (the map drawn into an image), and report.html.
+    (sensors, images, truth), demo.toml, rig.yaml, map.geojson, estimate.mcap, without_odometry.mcap, demo.png (flight),
+    overlay.png (the map drawn into an image), and report.html.
 
     \b
     Examples:
-      landfix demo
       landfix demo -o out/another --seed 7 --json
       landfix demo -o out/mono --mono
     """

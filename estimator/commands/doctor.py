@@ -55,12 +55,12 @@ def command(
     \b
     Examples:
       landfix doctor -v                           this machine, with the checks that are ok
-      landfix doctor -c vehicle.toml              and a configuration: cameras, ports, devices, secrets, the folder of the logs
-      landfix doctor -c vehicle.toml --autopilot  and the parameters of the autopilot, over [mavlink] endpoint
-      landfix doctor -c vehicle.toml --live 15    what comes in 15 s: rates, delays, noise, axes, what is missing, what to set
-      landfix doctor flight.mcap -c vehicle.toml  and a log: topics, rates, stamps, units, axes, delays
-      landfix doctor --config > vehicle.toml      what a vehicle has of its own, with default, unit and meaning
-      landfix doctor --config --all               every key of the configuration
+      landfix doctor -c vehicle.toml              cameras, ports, devices, secrets, the folder of the logs
+      landfix doctor -c vehicle.toml --autopilot  the autopilot's parameters, over [mavlink] endpoint
+      landfix doctor -c vehicle.toml --live 15    what comes in 15 s, what is missing, what to set
+      landfix doctor flight.mcap -c vehicle.toml  a log: topics, rates, stamps, units, axes, delays
+      landfix doctor --config > vehicle.toml      the keys of a vehicle, with default, unit and meaning
+      landfix doctor --config --all               every key
     """
     if keys:
         if log or file:

@@ -32,15 +32,13 @@ def command(
 ) -> None:
     """Evaluate an estimate, or compare several.
 
-    Prints errors, consistency of the covariance, drift in each outage, and the decisions on measurements. Without a truth in the
-    log only the parts that need none are printed. Several logs: one row each, the best value of a column highlighted. A log that
-    cannot be read is reported on stderr and skipped; the exit code is then 1.
+    Prints errors, consistency of the covariance, drift in each outage, and the decisions on measurements; without a truth in the
+    log the parts that need none. Several logs: one row each. A log that cannot be read is skipped; the exit code is then 1.
 
     \b
     Examples:
       landfix evaluate estimate.mcap
       landfix evaluate estimate.mcap --truth /rtk/fix --json
-      landfix evaluate before.mcap after.mcap
       landfix evaluate estimate.mcap --without-odometry without.mcap
       landfix evaluate fleet/*.mcap --csv > fleet.csv
     """

@@ -17,9 +17,8 @@ def command(
 ) -> None:
     """Write the evidence for the protection levels: claim, assumptions, fault rates, results, traceability, versions.
 
-    Flights with faults drawn at random are flown in simulation, those that stand in FOLDER already are not flown again. The
-    same version makes the same numbers on one machine type. The command runs in a clone of the repository, whose benchmarks and
-    tests are what the pack refers to.
+    Flights with faults drawn at random are simulated; those that stand in FOLDER are not flown again. The same version makes the
+    same numbers on one machine type. It runs in a clone of the repository, to whose benchmarks and tests the pack refers.
 
     \b
     Examples:

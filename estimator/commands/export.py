@@ -35,8 +35,6 @@ def command(
     \b
     Examples:
       landfix export estimate.mcap -o estimate.csv
-      landfix export estimate.mcap -o estimate.kml
-      landfix export estimate.mcap -o estimate.tum
       landfix export estimate.mcap -o truth.tum --topic /truth
       landfix export estimate.mcap -o estimate.parquet --rate 10
     """

@@ -30,8 +30,7 @@ def command(
 
     \b
     Examples:
-      landfix forecast route.gpx --map map.geojson -o forecast.png
-      landfix forecast route.geojson --map map.geojson -c vehicle.toml --height-m 120 --speed 15 --json
+      landfix forecast route.geojson --map map.geojson -c vehicle.toml --height-m 120 --speed 15 -o forecast.png
     """
     from estimator.config import load
     from estimator.map_files.store import load as load_map

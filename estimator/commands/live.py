@@ -28,8 +28,7 @@ def command(
     """Show a running daemon, or play a log, in Foxglove (needs landfix[live]).
 
     In Foxglove: Open connection, Foxglove WebSocket, ws://localhost:8765; layout: examples/foxglove/landfix.json. Foxglove can
-    also open a log file itself. This command only listens; the daemon never waits for it. /landfix/overlay is drawn as long as
-    this command runs.
+    also open a log file itself. This command only listens. /landfix/overlay is drawn as long as it runs.
 
     \b
     Examples:

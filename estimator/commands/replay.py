@@ -34,15 +34,13 @@ def command(
     """Run a log through the estimator.
 
     The output is bit-identical to what the flight would have published with this configuration. A log that was rotated into
-    parts is one flight: give all of them, in any order, or their folder. A later part alone begins in the air and aligns anew.
-    OUT.mcap holds the input's messages as they are, /landfix/odometry with covariance at every IMU sample, and the decision on
-    every measurement with its reason (/landfix/aid_status). If there is no estimate, the last line says why and what to do, and
-    the exit code is 1.
+    parts is one flight: give all of them, in any order, or their folder. OUT.mcap holds the input's messages as they are,
+    /landfix/odometry with covariance at every IMU sample, and the decision on every measurement with its reason
+    (/landfix/aid_status). Without an estimate the last line says why and what to do, and the exit code is 1.
 
     \b
     Examples:
-      landfix replay flight.mcap -o estimate.mcap
-      landfix replay flight.mcap -o estimate.mcap -c vehicle.toml --json
+      landfix replay flight.mcap -o estimate.mcap -c vehicle.toml
       landfix replay logs/landfix-20260501T101500000Z-*.mcap -o estimate.mcap -c vehicle.toml
       landfix replay flight.mcap -o smoothed.mcap -c vehicle.toml --smooth
       landfix replay flight.mcap -o again.mcap -c vehicle.toml --from-images     rig and map as the configuration names them

@@ -32,14 +32,12 @@ def command(
     """Write a report of a flight as one HTML page: trajectory, uncertainty, rejected measurements, problems.
 
     The page needs no network. It holds a verdict with its reasons, the map, errors or the reported 95 % radius, the decision on
-    each measurement, images with their fixes or the reason for none, biases, health, latencies and the configuration. Drag in a
-    plot to zoom.
+    each measurement, images with their fixes or the reason for none, biases, health, latencies and the configuration.
 
     \b
     Examples:
       landfix report estimate.mcap -o report.html
-      landfix report estimate.mcap -o report.html --rig rig.yaml --map town.geojson
-      landfix report estimate.mcap -o report.html --truth /rtk/fix --json
+      landfix report estimate.mcap -o report.html --rig rig.yaml --map town.geojson --truth /rtk/fix
     """
     with progress(f"read {log.name}") as report:  # the bar moves while libraries are loaded
         from estimator.tools.overlay.gallery import illustrations

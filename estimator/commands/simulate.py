@@ -31,10 +31,6 @@ def command(
     \b
     Examples:
       landfix simulate examples/scenarios/rare_fixes.toml -o flight.mcap --seed 3
-      landfix replay flight.mcap -o estimate.mcap -c flight.toml
-      landfix evaluate estimate.mcap
-      landfix simulate examples/scenarios/demo.toml -o demo.mcap
-      landfix replay demo.mcap -o estimate.mcap -c demo.toml --from-images
     """
     from estimator.replay.simulate import write
     from models.sim.scenario import simulate

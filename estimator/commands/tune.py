@@ -41,14 +41,12 @@ def command(
 ) -> None:
     """Find the noise parameters that best predict held-out fixes.
 
-    Fixes are held out in windows of 10 s. The score is the likelihood of these fixes: too small a covariance lowers it, and so
-    does too large a one. No truth is needed. For every parameter the loss at half and at double its value is printed; where there
-    is none, the parameter is weakly identifiable. Judge the result by logs that were held out.
+    Fixes are held out in windows of 10 s. The score is their likelihood: too small a covariance lowers it, and so does too large
+    a one. No truth is needed. The loss at half and at double the value of a parameter is printed; none: weakly identifiable.
 
     \b
     Examples:
-      landfix tune monday.mcap tuesday.mcap -c vehicle.toml -o tuned.toml
-      landfix tune monday.mcap -c vehicle.toml -o tuned.toml --hold-out friday.mcap
+      landfix tune monday.mcap tuesday.mcap -c vehicle.toml -o tuned.toml --hold-out friday.mcap
       landfix tune *.mcap -c vehicle.toml -o tuned.toml --scheduler tcp://10.0.0.5:8786
     """
     from os.path import realpath

@@ -41,7 +41,6 @@ def mono_command(
     \b
     Examples:
       landfix calibrate mono images/ --board 9x6 --square-mm 25 -o camera.yaml
-      landfix calibrate mono 'left*.jpg' -o camera.xml --lens 4
       landfix calibrate mono walk.mp4 --square-mm 40 --marker-mm 30 -o camera.yaml
       landfix calibrate mono images/ -o camera.yaml --mount 0.1,0,0.05,0,-90,0 --mount-sigma 0.01,0.5
       landfix calibrate mono camera:0 -o camera.yaml            a live camera, for a minute and a half

@@ -38,8 +38,7 @@ def imu_command(
 
     \b
     Examples:
-      landfix calibrate imu still.mcap --report imu.html
-      landfix calibrate imu still.mcap -o imu.toml
+      landfix calibrate imu still.mcap -o imu.toml --report imu.html
       landfix calibrate imu sides.mcap --six --json       laid on each of its six sides for five seconds
     """
     from calib.inertial import imu, imu_report
@@ -77,13 +76,11 @@ def camera_imu_command(
     """Calibrate the camera's pose on the IMU, and its time offset.
 
     Fix the board to the room. Move the vehicle briskly by hand for a minute: turn it about all three axes and shake it along all
-    three, with the whole board in view. OUT is the rig with its pose on the body, covariance and time offset. The IMU's axes
-    and noise are those of the configuration.
+    three, with the whole board in view. OUT is the rig with its pose on the body, covariance and time offset.
 
     \b
     Examples:
       landfix calibrate camera-imu moving.mcap --rig rig.yaml -o vehicle_rig.yaml -c vehicle.toml
-      landfix calibrate camera-imu moving.mcap --rig rig.xml --board 7x6 --square-mm 60 -o rig2.yaml --json
     """
     import msgspec
     import numpy as np

@@ -20,14 +20,12 @@ def command(
 ) -> None:
     """Watch a running daemon: mode, position, 95 % radius, sources, latencies, log.
 
-    It only listens; the daemon never waits for it. --json prints the status of the daemon once.
+    It only listens; the daemon never waits for it.
 
     \b
     Examples:
-      landfix monitor                                 the daemon on this machine
       landfix monitor -c vehicle.toml                 endpoint and user from the configuration
       landfix monitor --connect tcp/10.0.0.5:7447
-      landfix monitor --json                          once, for a program
       landfix monitor --seconds 5 --svg now.svg       a picture for a report
     """
     from estimator.config import load

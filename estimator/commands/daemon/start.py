@@ -31,14 +31,12 @@ def command(
     """Start a running daemon without GNSS: where the vehicle stands, and where its nose points.
 
     The vehicle stands still meanwhile. Needs [map] origin. Rest holds the estimate until the vehicle moves: [rest] enabled, or
-    an autopilot that says it is landed.
-    Refused once there is an estimate. With --heading to 4 degrees or better the estimate comes within seconds; otherwise a
-    sensor or the motion has to show the heading.
+    an autopilot that says it is landed. Refused once there is an estimate. With --heading to 4 degrees or better the estimate
+    comes within seconds; otherwise a sensor or the motion has to show the heading.
 
     \b
     Examples:
       landfix start --at 47.3977,8.5456 --sigma 1 --heading 92 -c vehicle.toml
-      landfix start --at 47.3977,8.5456,489.2 --connect tcp/10.0.0.5:7447
     """
     import math
 

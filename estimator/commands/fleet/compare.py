@@ -38,7 +38,7 @@ def command(
     """Find the flights that became worse or better.
 
     Flights are paired by their address. The page has the fleet as a whole (with Wilcoxon's signed-rank test), groups, and the
-    flights, the worst first; with --reports it links to a report of each, made in the folder PAGE-reports.
+    flights, the worst first; with --reports it links to a report of each, in the folder PAGE-reports.
 
     \b
     Examples:

@@ -30,9 +30,8 @@ def command(
     """Replay and evaluate many logs, one row each.
 
     A row holds errors and consistency (against a reference where the log has one, by innovations where it has none), outages,
-    refusals by reason, protection levels and costs; a log that fails has a row that says why. What has a row is not computed
-    again: start the same command again after an interruption. Without -c each log is replayed with the configuration it was
-    recorded or imported with. The exit code is 1 if a log has no row (its store or its worker failed).
+    refusals by reason, protection levels and costs, or why the log failed. What has a row is not computed again. Without -c each
+    log is replayed with the configuration it was recorded or imported with. The exit code is 1 if a log has no row.
 
     \b
     Examples:

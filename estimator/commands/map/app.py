@@ -175,14 +175,12 @@ def check(
     alike: Annotated[float, typer.Option(min=0.5, max=1, help="Similarity from which two landmarks count as ambiguous.")] = 0.9,
     json: Json = False,
 ) -> None:
-    """Check a map: counts, missing properties, ambiguous landmarks.
+    """Check a map: counts, missing properties, unusable features with their reasons, landmarks that look alike.
 
-    Counts, what is missing, features that are not usable with their reasons, landmarks that look alike.
     Exit code 1 if no landmark is usable.
 
     \b
     Examples:
-      landfix map check map.geojson
       landfix map check buildings.geojson --radius-m 100 --json
     """
     from estimator.map_files.store import load

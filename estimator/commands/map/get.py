@@ -36,11 +36,10 @@ def command(
 
     Reads GeoJSON (one document, or a feature a line, also .gz) and Overpass JSON; with landfix[geo] GeoPackage, Shapefile,
     OpenStreetMap (.osm, .osm.pbf), FlatGeobuf and GeoParquet, in any coordinate system. Nothing is downloaded. Heights and
-    standard deviations are the data set's where it has them (docs/map.md). The attribution is kept in the map.
+    standard deviations are the data set's where it has them. The attribution is kept in the map.
 
     \b
     Examples:
-      landfix map get 47.3977,8.5456 --km 3 --source zurich.osm.pbf -o map.geojson
       landfix map get 47.3977,8.5456 --km 3 --source zurich.osm.pbf --terrain N47E008.hgt -o map.geojson
       landfix map get 47.3977,8.5456 --source extracts/ --ground-alt-m 488 -o map.geojson
     """

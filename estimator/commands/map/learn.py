@@ -30,14 +30,12 @@ def command(
 ) -> None:
     """Learn a map by flying.
 
-    Poses are smoothed from the log's GNSS and IMU. Regions in the images are measured from these poses. A region that is found at
-    the same position in several images becomes a landmark, with its standard deviation. The map is marked automatic: one landmark
-    alone gives no fix, because what stood still during the flight may have moved. When you have checked it (landfix map show),
-    landfix map build --checked takes the mark out.
+    Poses are smoothed from the log's GNSS and IMU. A region that is found at the same position in several images becomes a
+    landmark, with its standard deviation. The map is marked automatic: one landmark alone gives no fix, because what stood still
+    during the flight may have moved. When you have checked it (landfix map show), landfix map build --checked takes the mark out.
 
     \b
     Examples:
-      landfix map learn flight.mcap --rig rig.yaml -o map.geojson
       landfix map learn flight.mcap --rig rig.yaml -c vehicle.toml -o map.geojson --ground-alt-m 488
       landfix map learn flight.mcap --rig rig.yaml -o map.geojson --pick red,white --least-frames 8
     """

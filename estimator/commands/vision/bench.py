@@ -44,15 +44,13 @@ def recognition(
     """Recognise landmarks in rendered stereo pairs: four experiments.
 
     Accuracy and speed; roofs of one texture and other sizes; roofs of which 30 to 70 % are in view; landmarks known by their
-    description only. Compares landfix, the plain method of the thesis, and SIFT + FLANN on the same images.
-    Recognised: the landmark is named and the position agrees with the truth. Wrong: something else is named, or the position
-    contradicts the truth. A method without an answer gets the next pair. Times are CPU times of one core.
+    description only. Compares landfix, the plain method of the thesis, and SIFT + FLANN on the same images. Recognised: named,
+    and the position agrees with the truth. A method without an answer gets the next pair. Times are CPU times of one core.
 
     \b
     Examples:
       landfix bench recognition
       landfix bench recognition --samples 20 --experiment partial --roof pale
-      landfix bench recognition --experiment partial --pairs 5
       landfix bench recognition --samples 1000 --seed 1 --plot recognition.png --json
     """
     from estimator.bench.recognition import run

@@ -111,22 +111,17 @@ def command(
     point and the camera's angles; the vehicle is the camera then. Without --rig they give the camera, too, less exactly.
     A camera file of landfix calibrate mono with --prior needs --mount: the mount of the photo as a viewer shows it (0,0,0,0,-90,0
     looks down with the photo's upper edge forward). Photos of another size are scaled if their aspect ratio is the camera's. A
-    video begins at --prior, and its later frames at the last fix. A later photo may confirm an earlier one; the result is that
-    of the last photo with a fix.
+    video begins at --prior, and its later frames at the last fix.
 
-    Regions are measured and matched with the map near the prior. Without a match the left image is registered with the
-    orthophoto. The fix is that of the images alone; "with the prior" combines both. Each region is listed with its result. The
-    exit code is 1 if there is no fix, or with --within if no fix combined with the prior is accurate enough.
+    Regions are matched with the map near the prior; without a match the left image is registered with the orthophoto. The fix is
+    that of the images alone; "with the prior" combines both. The exit code is 1 if there is no fix, or with --within if none
+    combined with the prior is accurate enough.
 
     \b
     Examples:
       landfix locate DJI_0001.JPG --map town.geojson -o seen.png
       landfix locate flight/ --map town.geojson --rig camera.yaml
-      landfix locate left.png right.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90
-      landfix locate left.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90 --prior-sigma 15,3 -o seen.png
-      landfix locate left.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90 --within 2
-      landfix locate left.png right.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90 --json
-      landfix locate a.jpg b.jpg --rig camera.yaml --mount 0,0,0,0,-90,0 --map town.geojson --prior 47.3977,8.5456,560,0,0,90
+      landfix locate left.png right.png --rig rig.yaml --map town.geojson --prior 47.3977,8.5456,560,0,0,90 --within 2
       landfix locate left.png --rig rig.yaml --picture ortho.tif --picture-height-m 455 --prior 47.3977,8.5456,560,0,0,90
     """
     from estimator.commands.photo.shots import Given, check, take

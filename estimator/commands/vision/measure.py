@@ -45,15 +45,14 @@ def command(
 ) -> None:
     """Measure the regions of a stereo pair, in metres.
 
-    Prints distance, width, length, size and fill ratio of each region of one colour, each with its standard deviation. Without
-    --colour the regions are found by the image's own colours. Needs no map and no position.
+    Prints distance, width, length, size and fill ratio of each region of one colour, with standard deviations. Without --colour
+    the regions are found by the image's own colours. Needs no map and no position.
 
     \b
     Examples:
       landfix measure left.png right.png --rig rig.yaml
       landfix measure left.png right.png --rig rig.xml --colour 190,50,40 --colour 40,80,170 -o regions.png
       landfix measure left.png right.png --rig rig.yaml --colour 190,50,40 --tolerance 0.5     without its reflection on the floor
-      landfix measure left.tif right.tif --rig rig.yaml --json
     """
     from calib.files.formats import load_rig
     from estimator.commands.common.image_source import read_image

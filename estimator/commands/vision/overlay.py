@@ -31,13 +31,12 @@ def command(
     """Draw the map into the recorded images, from the estimate, and measure the residuals.
 
     Outlines are drawn from /landfix/odometry at the exposure, not from the fix: green where the fix of that image identified
-    the landmark, else amber. The reprojection residual is the distance in px of edges in the image from the drawn outlines, along
-    their normals. It is printed together with the value that is expected from the estimate's covariance.
+    the landmark, else amber. The residual is the distance in px of edges in the image from the drawn outlines, beside the value
+    that the estimate's covariance predicts.
 
     \b
     Examples:
-      landfix overlay estimate.mcap -o video.mp4
-      landfix overlay estimate.mcap -o video.webm --start 60 --seconds 20      a video that browsers play
+      landfix overlay estimate.mcap -o video.webm --start 60 --seconds 20
       landfix overlay flight.mcap --rig rig.yaml --map town.geojson --json     numbers only
     """
     from estimator.tools.overlay.files import configuration, scenery
