@@ -65,6 +65,12 @@ def reception(topic: str, noise: Array, gain: Array, indicator: Array) -> list[s
     return [f"{topic}: {usual}; at most: {most}"] if most else []
 
 
+def authentication(topic: str, state: Array) -> list[str]:
+    """A note on GPS_AUTHENTICATION_STATE (n,)."""
+    counts = zip(*np.unique(state.astype(int), return_counts=True), strict=True)
+    return [f"{topic}: {words} in {n} of {len(state)}" for k, n in counts if (words := receiver.reception(0, 0, 0, int(k)))]
+
+
 def navsat_status(fix_type: Array) -> Array:
     """NavSatStatus: < 3 -> -1, 3D -> 0, DGPS -> 1, RTK -> 2."""
     return np.select([fix_type < 3, fix_type == 3, fix_type == 4], [-1.0, 0.0, 1.0], 2.0)

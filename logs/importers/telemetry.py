@@ -42,7 +42,7 @@ FIELDS = {
     ),
     "GPS_GLOBAL_ORIGIN": ("latitude", "longitude", "altitude"),
     "EXTENDED_SYS_STATE": ("landed_state",),
-    "GNSS_INTEGRITY": ("id", "jamming_state", "spoofing_state"),
+    "GNSS_INTEGRITY": ("id", "jamming_state", "spoofing_state", "authentication_state"),
 }  # fmt: skip
 _NOT_A_VEHICLE = 8  # MAV_AUTOPILOT_INVALID
 _UNIX_US = 1e14  # stamps above it count from 1970

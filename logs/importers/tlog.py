@@ -147,6 +147,9 @@ def _gnss(source: Path, table: Table | None, name: str, integrity: Table | None,
     flags = _flags(integrity, list(_RECEIVERS).index(name), arrived_ns)
     if flags.any():
         notes.append(f"{topic}: the receiver reports jamming or spoofing in {np.count_nonzero(flags)} of {len(flags)} fixes")
+    if integrity:
+        mine = integrity["id"] == list(_RECEIVERS).index(name)
+        notes += sensors.authentication(topic, integrity["authentication_state"][mine])
     streams = [recording.gnss(t_ns, arrived_ns, lla, _position_variance(table), status, topic, flags)]
     moving = np.flatnonzero((status >= 0) & (table["vel"] != _UNKNOWN) & (table["cog"] != _UNKNOWN))
     if len(moving):

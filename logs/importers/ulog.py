@@ -276,7 +276,7 @@ def _gnss(source: Path, topic: Topic, clock_us: int, notes: list[str]) -> list[S
     if flags.any():
         notes.append(f"the receiver reports jamming or spoofing in {np.count_nonzero(flags)} of {len(flags)} fixes")
     signal = (topic.get(f, unknown) for f in ("noise_per_ms", "automatic_gain_control", "jamming_indicator"))
-    notes += sensors.reception("/gnss", *signal)
+    notes += sensors.reception("/gnss", *signal) + sensors.authentication("/gnss", topic.get("authentication_state", unknown))
     streams = [recording.gnss(t_ns, arrived_ns, lla, variance, status, flags=flags)]
     if len(moving):
         streams.append(recording.gnss_velocity(t_ns[moving], arrived_ns[moving], v_n, speed_variance))

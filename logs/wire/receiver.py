@@ -1,7 +1,7 @@
 """A receiver's flags of interference, also those that ROS drivers publish in the namespace of NavSatFix.
 
-MON-HW and NAV-STATUS of ublox_msgs have UBX's own layout (u-blox M8 and F9 interface descriptions); SEC-SIG of ublox_ubx_msgs
-and Septentrio's AIM+ (spoofing found by OSNMA, or by its own test) begin with a Header.
+MON-HW and NAV-STATUS of ublox_msgs have UBX's own layout (u-blox M8 and F9 interface descriptions); SEC-SIG and NAV-STATUS of
+ublox_ubx_msgs and Septentrio's AIM+ (spoofing found by OSNMA, or by its own test) begin with a Header.
 """
 
 import struct
@@ -22,6 +22,7 @@ FLAGS: Final = {  # name in the driver's namespace -> its type
     "monhw": "ublox_msgs/msg/MonHW",
     "navstatus": "ublox_msgs/msg/NavSTATUS",
     "ubx_sec_sig": "ublox_ubx_msgs/msg/UBXSecSig",
+    "ubx_nav_status": "ublox_ubx_msgs/msg/UBXNavStatus",
     "aimplusstatus": "septentrio_gnss_driver/msg/AIMPlusStatus",
 }
 
@@ -63,6 +64,8 @@ def state_of(schema: str, data: bytes) -> ReceiverState:
         if schema == FLAGS["aimplusstatus"]:  # uint32, uint16; interference: 0 none, 1 mitigated, 2 present; spoofing: 1, 2, 3
             at += -at % 4 + 6
             return reported(data[at] + 1, _DETECTED if data[at + 1] in {1, 2, 3} else 0)
+        if schema == FLAGS["ubx_nav_status"]:  # uint32 and nine bytes before
+            return reported(0, data[at + -at % 4 + 13])
         return reported(data[at + 2], data[at + 4])  # version, detection enabled, state, detection enabled, state
     except (IndexError, struct.error):
         return ReceiverState.UNKNOWN

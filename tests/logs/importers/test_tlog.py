@@ -403,14 +403,16 @@ def test_the_flags_of_a_receiver_are_in_its_fixes_for_three_seconds(tmp_path: Pa
     for k in range(12):
         ground.imu(500_000 * k, boot_us + 500_000 * k)
         if k == 2:  # of a second receiver, which sends no fixes, and of the first
+            unknown = [65535, 65535, *[255] * 4]
             for number, jamming, spoofing in ((1, 1, 3), (0, 3, 1)):
-                flags = development.MAVLink_gnss_integrity_message(number, 0, 0, jamming, spoofing, 0, 65535, 65535, *[255] * 4)
+                flags = development.MAVLink_gnss_integrity_message(number, 0, 3 - number, jamming, spoofing, 0, *unknown)
                 ground.hear(500_000 * k, flags)
         ground.hear(500_000 * k + 1000, fix(boot_us + 500_000 * k))
     recording = tlog.read(ground.write(tmp_path))
     states = [m.state for m in recording if isinstance(m, GnssFix)]
     assert states == [0] * 2 + [ReceiverState.JAMMED] * 6 + [0] * 4
     assert "/gnss: the receiver reports jamming or spoofing in 6 of 12 fixes" in recording.notes
+    assert [note for note in recording.notes if "authenti" in note] == ["/gnss: authenticated in 1 of 1"]
 
 
 def test_whether_it_is_landed(tmp_path: Path) -> None:

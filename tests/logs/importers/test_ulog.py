@@ -394,7 +394,10 @@ def test_the_flags_of_the_receiver(landfix_data: Path, tmp_path: Path, jamming: 
     log = ULog(str(landfix_data / "native_logs" / LOGS[0]))
     topic = next(d for d in log.data_list if d.name == "vehicle_gps_position")
     topic.data["jamming_state"][:], topic.data["spoofing_state"][:] = jamming, spoofing
+    authentication = topic.data.setdefault("authentication_state", np.zeros_like(topic.data["jamming_state"]))
+    authentication[:3] = spoofing
     log.write_ulog(str(tmp_path / "flagged.ulg"))
     recording = ulog.read(tmp_path / "flagged.ulg")
     assert {m.state for m in recording if isinstance(m, GnssFix)} == {ReceiverState(state)}
     assert any("jamming or spoofing" in note for note in recording.notes) == (state > 0)
+    assert any("/gnss: authenticated in 3 of" in note for note in recording.notes) == (spoofing == 3)

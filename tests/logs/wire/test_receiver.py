@@ -11,7 +11,7 @@ from logs.wire.receiver import ReceiverFlags, state_of
 from models.messages import GnssFix, ReceiverState
 
 MON_HW, NAV_STATUS, SEC_SIG = "ublox_msgs/msg/MonHW", "ublox_msgs/msg/NavSTATUS", "ublox_ubx_msgs/msg/UBXSecSig"
-AIM = "septentrio_gnss_driver/msg/AIMPlusStatus"
+UBX_STATUS, AIM = "ublox_ubx_msgs/msg/UBXNavStatus", "septentrio_gnss_driver/msg/AIMPlusStatus"
 DEFINITIONS = {
     MON_HW: """uint32 pin_sel
 uint32 pin_bank
@@ -39,6 +39,26 @@ uint8 jamming_state
 uint8 spf_det_enabled
 uint8 spoofing_state
 """,
+    "ublox_ubx_msgs/msg/GpsFix": "uint8 fix_type\n",
+    "ublox_ubx_msgs/msg/MapMatching": "uint8 status\n",
+    **dict.fromkeys(("ublox_ubx_msgs/msg/PSMStatus", "ublox_ubx_msgs/msg/SpoofDet"), "uint8 state\n"),
+    "ublox_ubx_msgs/msg/CarrSoln": "uint8 status\n",
+    UBX_STATUS: """std_msgs/Header header
+uint32 itow
+ublox_ubx_msgs/GpsFix gps_fix
+bool gps_fix_ok
+bool diff_soln
+bool wkn_set
+bool tow_set
+bool diff_corr
+bool carr_soln_valid
+ublox_ubx_msgs/MapMatching map_matching
+ublox_ubx_msgs/PSMStatus psm
+ublox_ubx_msgs/SpoofDet spoof_det
+ublox_ubx_msgs/CarrSoln carr_soln
+uint32 ttff
+uint32 msss
+""",
     AIM: """std_msgs/Header header
 uint32 tow
 uint16 wnc
@@ -59,6 +79,14 @@ HEADER = MAKE["std_msgs/msg/Header"](stamp=MAKE["builtin_interfaces/msg/Time"](s
 SECOND = 1_000_000_000
 
 
+PARTS = {"gps_fix": "GpsFix", "map_matching": "MapMatching", "psm": "PSMStatus", "spoof_det": "SpoofDet", "carr_soln": "CarrSoln"}
+
+
+def _part(kind: str, value: int) -> Any:
+    """Of one byte, whatever its name."""
+    return MAKE[f"ublox_ubx_msgs/msg/{kind}"](value)
+
+
 def _bytes(schema: str, **fields: Any) -> bytes:
     pins = dict.fromkeys(("pin_sel", "pin_bank", "pin_dir", "pin_val", "used_mask", "pin_irq", "pull_h", "pull_l"), 2**32 - 1)
     noise = {"noise_per_ms": 9, "agc_cnt": 99, "a_status": 2, "a_power": 1, "reserved0": 255, "jam_ind": 7}
@@ -67,7 +95,12 @@ def _bytes(schema: str, **fields: Any) -> bytes:
     signal = {"header": HEADER, "version": 1, "jam_det_enabled": 1, "spf_det_enabled": 1}
     counts = dict.fromkeys(("galileo_authentic", "galileo_spoofed", "gps_authentic", "gps_spoofed"), 9)
     aim = {"header": HEADER, "tow": 2**32 - 1, "wnc": 2**16 - 1, "osnma_info_available": True, **counts}
-    known: dict[str, dict[str, Any]] = {MON_HW: {**pins, **noise, **arrays}, NAV_STATUS: status, SEC_SIG: signal, AIM: aim}
+    flags = dict.fromkeys(("gps_fix_ok", "diff_soln", "wkn_set", "tow_set", "diff_corr", "carr_soln_valid"), True)
+    parts = {name: _part(kind, fields.pop(name, 9)) for name, kind in PARTS.items()} if schema == UBX_STATUS else {}
+    ubx = {"header": HEADER, "itow": 2**32 - 1, **flags, **parts, "ttff": 1, "msss": 1}
+    known: dict[str, dict[str, Any]] = {
+        MON_HW: {**pins, **noise, **arrays}, NAV_STATUS: status, SEC_SIG: signal, UBX_STATUS: ubx, AIM: aim,
+    }  # fmt: skip
     return bytes(STORE.serialize_cdr(MAKE[schema](**(known[schema] | fields)), schema))
 
 
@@ -83,6 +116,9 @@ def _bytes(schema: str, **fields: Any) -> bytes:
         (SEC_SIG, {"jamming_state": 1, "spoofing_state": 1}, ReceiverState.UNKNOWN),
         (SEC_SIG, {"jamming_state": 3, "spoofing_state": 1}, ReceiverState.JAMMED),
         (SEC_SIG, {"jamming_state": 0, "spoofing_state": 3}, ReceiverState.SPOOFED),
+        (UBX_STATUS, {"spoof_det": 1}, ReceiverState.UNKNOWN),
+        (UBX_STATUS, {"spoof_det": 2}, ReceiverState.JAMMED),
+        (UBX_STATUS, {"spoof_det": 3}, ReceiverState.SPOOFED),
         (AIM, {"interference": 1, "spoofing": 0}, ReceiverState.UNKNOWN),  # mitigated
         (AIM, {"interference": 2, "spoofing": 4}, ReceiverState.JAMMED),
         (AIM, {"interference": 0, "spoofing": 1}, ReceiverState.SPOOFED),  # by OSNMA
