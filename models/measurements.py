@@ -139,8 +139,8 @@ class PartialPose(Curved):
     def bend(self, x: Array, cov: Array, nu: Array, h: Array, s: Array) -> Array:
         """See Curved.
 
-        Poses that look the same are x exp(t zeta), of which d - theta x d / 2 is linear in t: D_p (theta x d) / 2 is left out; d,
-        theta: the truth off z, x (+) K nu (-) z with its covariance.
+        Poses that look the same are x exp(t zeta), of which d - theta x d / 2 is linear in t, so D_p (theta x d) / 2 is left out.
+        d, theta: of the truth from z, which is x (+) K nu (-) z with its covariance.
         """
         return _bend(x, cov, nu, h, s, self.z_n, self.q_nb_wxyz, self.directions)
 

@@ -1,4 +1,4 @@
-"""Which recogniser processes an image, by need and by cost: the table in docs/vision_orthophoto.md, from above.
+"""Which recogniser processes an image, by need and by cost (table in docs/vision_orthophoto.md).
 
 The image is one landmark, named as its file. Results depend on the requests alone.
 """

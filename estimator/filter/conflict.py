@@ -2,8 +2,7 @@
 
     P <- P + w (S + d d^T),     w = w_0 exp(-(|d| / d_0)^2)                    (Bar-Shalom, Li, Kirubarajan 2001, 1.4.16)
 
-d (3,) [m]: to the source's position, of covariance S (3, 3); w_0: share of conflicts with a wrong map; d_0 [m]: size of map
-errors.
+d (3,) [m]: to the source's position, of covariance S (3, 3); w_0: share of conflicts by a wrong map; d_0 [m]: its errors.
 """
 
 import math

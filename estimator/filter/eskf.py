@@ -91,7 +91,7 @@ class Eskf:
     def consider(self, block: str, covariance: Array, tau_s: float, walk: Array | None = None) -> None:
         """Consider the slow error `block`, unless it is known already.
 
-        covariance: (k, k), steady; with `walk` (k,), variance per second: the start of an estimated random walk.
+        covariance: (k, k), steady; with `walk` (k,), variance per second, an estimated random walk begins.
         """
         if block in self.slow.columns:
             return
@@ -281,7 +281,7 @@ def resolved(noise: Array, s: Array) -> Array:
 
 @njit(cache=True, error_model="numpy")
 def summed(cov: Array, h: Array, estimated: Array) -> tuple[NDArray[np.intp], Array, Array]:
-    """Which states a (k,) of P (n, n) are corrected, and P (k + m, k + m) and H (m, k + m) of a and e = H_c c, H (m, n).
+    """States (k,) of P (n, n) that are corrected, P (k + m, k + m) and H (m, k + m) of them and the considered sum e = H_c c.
 
     estimated: (n - 15,) 0 where a slow error is considered.
     """
@@ -314,7 +314,7 @@ def summed(cov: Array, h: Array, estimated: Array) -> tuple[NDArray[np.intp], Ar
 
 @njit(cache=True, error_model="numpy")
 def spread(cov: Array, posterior: Array, gain: Array, hp: Array, kept: NDArray[np.intp]) -> None:
-    """P (n, n), in place, from what `summed` made and the update turned into posterior and gain (k + m, m); hp: H P (m, n)."""
+    """P (n, n), in place, from the posterior and gain (k + m, m) of the states of `summed`; hp: H P (m, n)."""
     n, k = cov.shape[0], kept.shape[0]
     for i in range(k):
         row = cov[kept[i]]

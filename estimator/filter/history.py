@@ -124,10 +124,9 @@ class History:
         return True
 
     def advance(self, to_ns: int, *, coast: bool = False) -> Tracker:
-        """The tracker at `to_ns`, for publication: without late measurements until they are worked in.
+        """The tracker at `to_ns`, for publication, without late measurements until they are worked in.
 
-        coast: beyond the newest IMU sample, with a slice of the waiting measurements, to the last of them; a late IMU sample
-        takes it back.
+        coast: beyond the newest IMU sample, with some of the waiting measurements; a late IMU sample takes it back.
         """
         self.quiet = None
         if self._redo_from_ns is not None and self._ahead is None:

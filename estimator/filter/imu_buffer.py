@@ -25,10 +25,7 @@ class ImuBuffer:
         self.newest_ns = self.previous_ns = -(2**62)
 
     def insert(self, s: ImuSample) -> bool:
-        """Insert a sample; False where one of the same stamp stays.
-
-        Of two of one stamp the smaller (as a tuple) stays, whatever the order of arrival.
-        """
+        """Insert a sample; False where one of the same stamp stays: the smaller (as a tuple), whatever the order of arrival."""
         k = self.begin_next()
         end = k + 1
         if s.t_ns <= self.newest_ns:

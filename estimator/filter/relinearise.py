@@ -51,7 +51,7 @@ class Taken(NamedTuple):
 class Stretch:
     """x (16,) and cov (n, n) at the start, and the measurements since.
 
-    Last run: path; sigma (9,) of attitude and biases; run_at: measurements; moved_at: those of the last run with an effect.
+    Of the last run: path; sigma (9,) of attitude and biases; run_at, moved_at: number of measurements, of those with an effect.
     """
 
     t_ns: int

@@ -52,7 +52,7 @@ class Smoothed:
 class Node:
     """One hypothesis at one instant, aids fused: x (16,), cov (15, 15); link None: a segment begins.
 
-    late_cov: (3, 3) of the position, by an unknown delay or a step of a receiver's speed, not smoothed.
+    late_cov: (3, 3) of the position by a delay or a step of a receiver's speed, not smoothed.
     """
 
     t_ns: int

@@ -1,7 +1,7 @@
 """A start without GNSS: position, and perhaps heading, of a vehicle that stands still.
 
-Sent as fixes with one error that all of them share (LandmarkFix.landmark_errors), so that ten are worth one; for so long that
-[rest] is confirmed, which holds the estimate until the vehicle moves.
+Sent as fixes that share one error (LandmarkFix.landmark_errors), so that ten are worth one, until [rest] is confirmed, which
+holds the estimate until the vehicle moves.
 """
 
 import math

@@ -108,7 +108,7 @@ class Lost(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """The pose kept for a topic since t_ns, for increment `name` until until_ns, until when there is none where it is lost.
+    """The pose kept for a topic since t_ns, for the increment `name` that ends at until_ns; None where it is lost until then.
 
     pose: in the odometry's frame; newest: last pose since, time, velocity, m/s.
     """

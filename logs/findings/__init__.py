@@ -9,7 +9,7 @@
 Memory is bounded. May import models.
 """
 
-from logs.findings.streams import Finding
+from logs.findings.streams import Finding, together
 from logs.findings.watch import Watch
 
-__all__ = ["Finding", "Watch"]
+__all__ = ["Finding", "Watch", "together"]

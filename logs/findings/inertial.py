@@ -163,7 +163,7 @@ def tilted(imu: Stream) -> Cause | None:
 def frozen_axis(imu: Stream) -> Cause | None:
     """An axis repeats to the bit for > 2 s while another of its sensor changes.
 
-    It changed before, or both others have noise from the start, or a gyroscope's axis stands at another value than 0 for > 10 s.
+    It changed before, or both others have noise, or a gyroscope's axis stands at another value than 0 for > 10 s.
     """
     if imu.kind not in (IMU, "magnetometer"):
         return None

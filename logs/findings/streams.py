@@ -1,6 +1,6 @@
 """Streams for the causes: stamps, arrivals, values by topic."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple, TypeAlias
 
 import msgspec
@@ -46,6 +46,16 @@ class Finding(msgspec.Struct, frozen=True):
 
     def __str__(self) -> str:
         return f"{self.who} since {self.since_s:.1f} s: {self.what}; {self.advice}"
+
+
+def together(findings: Iterable[Finding]) -> list[Finding]:
+    """Those of several topics with one cause at one time are one, such as of an autopilot's three IMUs."""
+    found: dict[tuple[str, str, str], Finding] = {}
+    for finding in findings:
+        key = finding.what, f"{finding.since_s:.1f}", finding.advice
+        before = found.get(key)
+        found[key] = msgspec.structs.replace(before, who=f"{before.who}, {finding.who}") if before else finding
+    return list(found.values())
 
 
 class Stream(NamedTuple):

@@ -2,7 +2,7 @@
 
 import msgspec
 
-from logs.findings import Finding
+from logs.findings import Finding, together
 
 
 class TopicRow(msgspec.Struct, frozen=True):
@@ -37,5 +37,5 @@ class ImportSummary(msgspec.Struct, frozen=True):
     def __str__(self) -> str:
         counts = ", ".join(f"{topic} {n}" for topic, n in self.messages.items())
         lines = [f"{self.seconds:.1f} s: {counts}", f"configuration: {self.config}", *(f"note: {note}" for note in self.notes)]
-        lines += [f"at fault: {finding}" for finding in self.findings]
+        lines += [f"at fault: {finding}" for finding in together(self.findings)]
         return "\n".join(lines)

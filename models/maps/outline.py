@@ -35,8 +35,8 @@ def area(outline: Array) -> float:
 def clean(outline: Array, tolerance_m: float) -> Array:
     """The outline without doubled, collinear or spike corners.
 
-    A corner goes if its triangle is thinner than tolerance_m; never two neighbours in a round. An outline that still has more
-    than LONG corners after ROUNDS rounds is left so: a path that returns on itself loses one or two in a round.
+    A corner goes if its triangle is thinner than tolerance_m, never two neighbours in a round. After ROUNDS rounds an outline of
+    more than LONG corners stays as it is.
     """
     rounds = 0
     while len(outline) > 3 and (rounds < ROUNDS or len(outline) <= LONG):

@@ -112,7 +112,7 @@ def _offsets(sigma: float, step: float) -> Array:
 def intensity(arm: Array, own: Array, landmarks: Catalogue, turns: Array, log_scales: Array, b: Assumptions) -> Array:
     """Unmapped objects per m^2 at each region's position as seen from the others (M, T, S).
 
-    In streets they stand where landmarks would if the map moved by a block: the density is the landmarks' at that displacement.
+    In streets they stand where landmarks would if the map moved by a block: the landmarks' density at that displacement.
     """
     radius = np.maximum(1.0, 1.4 * np.sqrt(2.0 * own[:, :2, :2].trace(axis1=1, axis2=2) / 2.0))
     position = landmarks.position_n[:, :2].copy()

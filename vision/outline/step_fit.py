@@ -169,8 +169,9 @@ def _split(position: Array, g: Array, gap: float, weight: float, s0: float, sigm
 
 @njit(cache=True)
 def _fit_mean(position: Array, g: Array, gap: float, farthest: float, starts: Array) -> tuple[Array, float, float]:
-    """(a, c1, c2, s0, sigma) of the mean profile g (mean-free), variance of s0, mean squared misfit: Levenberg-Marquardt from the
-    best of starts, levels optimal; starts: _steps() of a single step.
+    """(a, c1, c2, s0, sigma) of the mean profile g (mean-free), variance of s0, mean squared misfit; levels optimal.
+
+    Levenberg-Marquardt from the best of starts, _steps() of a single step.
     """
     size = position.shape[0]
     reach = position[size - 1]

@@ -246,9 +246,9 @@ class Waiting:
         return None if self._nothing_ns is not None and self._nothing_ns < t_ns else held
 
     def doubt(self, fitted: Fitted, t_ns: int, prior: Prior, roofs_n: Array, *, weak: bool) -> str:
-        """Why the held position does not confirm this one; empty where both show the same prior error.
+        """Why the held position does not confirm this one; empty where both show the same error of the prior.
 
-        A single landmark needs the odds of both images, two weak positions a changed view of the roofs (L, 3).
+        A single landmark needs the odds of both images; two weak positions need a changed view of the roofs (L, 3).
         """
         before, now = self._before(t_ns), _Held.of(fitted, t_ns, prior, sure=False)
         alone = before is not None and len(fitted.used) == 1 and before.odds + fitted.odds < self._config.both_odds

@@ -229,10 +229,10 @@ class Alignment:
             core.is_aligned = known and confirmed and self._is_known()
 
     def _follows(self, aid: Aid, seen: Innovation, limit: float, *, lasts: bool) -> bool:
-        """Fuse a second unpredicted measurement.
+        """Fuse a second measurement that the filter did not predict.
 
         Not where innovations persist in one direction (three in a row, two at an attitude 30 degrees off), nor after a filter was
-        given up: the IMU is wrong.
+        given up: then the IMU is wrong.
         """
         core = self.core
         assert core.hypotheses is not None

@@ -107,9 +107,9 @@ def level(t_ns: int, u: Array, config: InitialiseConfig, *, may_rest: bool = Tru
 
 
 def start_from_pose(t_ns: int, z: Pose, constants: Array, config: InitialiseConfig, aid: Aid | None = None) -> Hypotheses:
-    """One filter at a pose fix with full attitude; needs no rest.
+    """One filter at a pose fix with full attitude, moving or not.
 
-    aid: the fix. Where most of its error repeats, a filter whose pose is hardly known fuses it, for the correlations.
+    Where most of the fix's error repeats, a filter whose pose is hardly known fuses it, for the correlations.
     """
     x, cov = _unknown(None, config)
     x[X.P], x[X.Q] = z.z_n, z.q_nb_wxyz
@@ -190,7 +190,7 @@ def agrees(bank: Hypotheses, prior: Pose) -> bool:
 
 
 def with_slow_errors(aid: Aid, z: Position | Pose) -> Position | Pose:
-    """A receiver's position with R + 9 P_ss: off by the slow error s that its next readings share.
+    """A receiver's position with R + 9 P_ss: its next readings share the slow error s.
 
     Of prior variance c P_ss, readings leave c / (c + 1) P_ss.
     """

@@ -21,10 +21,10 @@ _NOISIER = 256.0  # times the variance that a source claims
 
 
 class Evidence(NamedTuple):
-    """One reading, by hypothesis: seen; passed: inside the gate; again: see above, None after a reading that was not false.
+    """One reading, by hypothesis: seen; passed: inside the gate; again: ln weight, None after a reading that was not false.
 
-    doubted: weight of the heaviest one that leaves the source out deliberately; by_receiver: ln density of a velocity to those
-    that follow its receiver's positions, -inf without any, or where all do.
+    doubted: largest weight of one that leaves the source out; by_receiver: ln density of a velocity to those that follow its
+    receiver's positions, -inf without any, or where all do.
     """
 
     aid: Aid
@@ -63,7 +63,7 @@ def noisier(aid: Aid, seen: Innovation) -> float:
 def _again(
     members: list[Hypothesis], aid: Aid, seen: list[Innovation], passed: list[bool], refused_s: float
 ) -> list[float | None]:
-    """A reading that is not absolute founds no hypothesis: those that take it for true again predict too.
+    """ln weight of the last false reading again; unless absolute it founds no hypothesis: who takes it for true predicts too.
 
     refused_s: tau of a position the leading hypothesis refuses.
     """

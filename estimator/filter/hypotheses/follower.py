@@ -69,8 +69,7 @@ def begin(lead: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, limit: floa
 def behind(lead: Hypothesis, aid: Aid, *, vouched: bool, by_imu: bool) -> float:
     """ln weight of a contradiction's start, relative to the leading hypothesis.
 
-    margin - max(t / AGAIN_S, t' / again_s): t that the leading one holds, t' its confirmed run; refused fixes make it up at 1 /
-    again_s.
+    margin - max(t / AGAIN_S, t' / again_s): t that the leading one holds, t' its confirmed run.
     """
     holds_s = confirmed_s = lead.holds_s(aid.t_ns, imu_may_be_wrong=by_imu)
     pace_s = again_s(lead, aid, vouched=vouched)
@@ -80,9 +79,9 @@ def behind(lead: Hypothesis, aid: Aid, *, vouched: bool, by_imu: bool) -> float:
 
 
 def again_s(lead: Hypothesis, aid: Aid, *, vouched: bool) -> float:
-    """The leading hypothesis loses 1 / this, ln, per second of refused fixes.
+    """Seconds of refused fixes in which the leading hypothesis loses 1 in ln.
 
-    Longest where another source confirms it; longer for a receiver, whose errors are correlated, than for fixes.
+    Most where another source confirms it; more for a receiver, whose errors are correlated, than for fixes.
     """
     own = f"{aid.topic}/"  # velocities of the same receiver
     others = any(topic != aid.topic and not topic.startswith(own) for topic in lead.doubts)

@@ -55,8 +55,8 @@ class Verdict(NamedTuple):
 class Hypotheses:
     """The filters in question; the first is the estimate.
 
-    switches: changes of the leading one; conflict_ns: start of a conflict of sources; disputed: those it rejects; sensed: sensors
-    fused since one goes on without them.
+    switches: changes of the leading one; conflict_ns: start of a conflict of sources; disputed: sources it rejects; sensed:
+    sensors fused since one goes on without them.
     """
 
     __slots__ = ("conflict_ns", "disputed", "members", "sensed", "switches")
@@ -257,7 +257,7 @@ class Hypotheses:
         self.members = possible
 
     def _answer(self, k: int, e: Evidence, born: list[Hypothesis], *, lead_refuses: bool) -> bool:
-        """Hypothesis k takes the measurement for true (and fuses it), for false, or for the last false one again.
+        """Hypothesis k takes the measurement for true (and fuses it), false, or the last false one again.
 
         born: receives the sceptic; lead_refuses: the leading one took it for false.
         """

@@ -157,9 +157,9 @@ class Hypothesis(msgspec.Struct, eq=False):
         return (t_ns - self.parted_ns) * 1e-9 >= _SETTLED_S
 
     def holds_s(self, t_ns: int, *, imu_may_be_wrong: bool) -> float:
-        """Duration after which consistent refused fixes win, the first at t_ns.
+        """Duration after which consistent refused fixes win, the first at t_ns: that of its own run and of three fixes.
 
-        Its run and three fixes more; the three alone against an error of a wrong IMU.
+        Against an error of a wrong IMU three fixes suffice.
         """
         run_s = (self.fused_ns - self.run_ns) * 1e-9
         period_s = min((t_ns - self.fused_ns) * 1e-9, run_s / (self.run - 1) if self.run > 1 else _PERIOD_S)

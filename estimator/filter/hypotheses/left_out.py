@@ -73,9 +73,9 @@ def unaided(member: Hypothesis, aid: Aid, before: float, gained: float, nearer: 
 
 
 def moved(lead: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, seen: Innovation) -> Hypothesis:
-    """The leading hypothesis moved to the fix with its own motion but for a pull: P_pp += |nu|^2 I, P_vv += sigma^2 I.
+    """The leading hypothesis at the fix, with its own motion but for a pull: P_pp += |nu|^2 I, P_vv += sigma^2 I.
 
-    So fixes in a wrong unit do not predict one another. seen: the fix from the leading one.
+    Fixes in a wrong unit then do not predict one another. seen: the fix from the leading one.
     """
     other = lead.copy()
     cov = other.filter.cov
@@ -130,9 +130,9 @@ def has_jumped(members: list[Hypothesis], aid: Aid) -> bool:
 def begin_again(
     members: list[Hypothesis], aid: Aid, fused: list[bool], at_fix: Hypothesis | None, seen: list[Innovation]
 ) -> None:
-    """After another source's fix, begin again as the leading one where that predicted it better, or this one refused it.
+    """After another source's fix, begin again as the leading hypothesis where that predicted it better, or this one refused it.
 
-    Where all refused it: at the fix. fused, seen: by member; at_fix: see moved().
+    Where all refused it, begin at the fix. fused, seen: by member; at_fix: of moved().
     """
     if not aid.absolute or len(members) == 1:  # most of the time
         return

@@ -66,9 +66,9 @@ class Delay(NamedTuple):
         return variance * (v_n[:, None] * v_n)
 
     def also(self, t_ns: int, seen: Innovation, column: int, gate: float = math.inf) -> "Delay":
-        """With one more innovation; column: of tau in P.
+        """The evidence with one more innovation; column: of tau in P.
 
-        gate: beyond it a reading counts only where it shows a delay by itself: with the common delay it is inside.
+        gate: a reading beyond it counts only where it shows a delay by itself.
         """
         if self.is_state:
             return self

@@ -33,9 +33,9 @@ _TIMING_S = 0.1  # of stamps and filters of receivers: what acceleration makes o
 
 
 class SpeedStep(NamedTuple):
-    """The newest reading of a receiver, the state x (16,) after it, nu (3,) [m/s] from there; agrees: it was fused.
+    """A receiver's newest reading, the state x (16,) after it, nu (3,) [m/s] from there; agrees: it was fused.
 
-    scatter2: mean square of the usual steps, of `usual` readings; before: time and state before a step that is not confirmed yet.
+    scatter2: mean square of the usual steps, of `usual` readings; before: time and state before an unconfirmed step.
     """
 
     t_ns: int

@@ -143,7 +143,7 @@ class _Trial:
 class Stamps:
     """Times of validity on our clock, from plausible stamps.
 
-    Known: the wall clock, now and before its last step, and steady foreign ones over a minute off. Of those with 0 <= lag <=
+    Known: the wall clock, now and before its last step, and steady foreign clocks over a minute off. Of those with 0 <= lag <=
     late_s the one with the topic's usual lag counts.
     """
 

@@ -13,7 +13,7 @@ from estimator.sources.aids import aid_of
 from estimator.sources.base.aid import Aid, Refusal
 from estimator.tools.doctor.machine import Check, judge
 from estimator.tools.doctor.noise import Noise
-from logs.findings import Watch
+from logs.findings import Watch, together
 from logs.store.reader import LogError, LogReader
 from logs.store.recorder import METADATA_NAME
 from logs.wire.sensors import SENSORS
@@ -167,7 +167,8 @@ def _no_echo(message: Input) -> bool:
 
 def _at_fault(watch: Watch) -> list[Check]:
     return [
-        judge(f"{f.who} at fault", f"since {f.since_s:.1f} s: {f.what}", fail=True, advice=f.advice) for f in watch.findings()
+        judge(f"{f.who} at fault", f"since {f.since_s:.1f} s: {f.what}", fail=True, advice=f.advice)
+        for f in together(watch.findings())
     ]
 
 

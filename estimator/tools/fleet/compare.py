@@ -2,7 +2,7 @@
 
     d_i = c_i(after) - c_i(before)         c: the cost of a metric (metrics.py), i: a flight with both rows
 
-A change counts beyond the largest |d| of two labels of equal runs; the fleet by Wilcoxon's signed-rank test.
+A change exceeds the largest |d| of two labels of equal runs; the fleet is judged by Wilcoxon's signed-rank test.
 """
 
 import math

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from logs.findings import Finding, pull
+from logs.findings import Finding, pull, together
 from logs.findings.judge import judged
 from logs.findings.streams import FIX, IMU, ODOMETRY, POSE, VELOCITY, Stream, row
 from models.frames import GRAVITY
@@ -428,3 +428,9 @@ def test_a_gyroscope_or_an_accelerometer_that_is_off_at_rest_is_named() -> None:
         found = [f for _, f in judged({"/imu": Stream(IMU, t, t + 0.01, values + offset)}, ORIGIN)]
         assert [f.what for f in found if not words or words not in f.what] == []
         assert bool(found) == bool(words)
+
+
+def test_one_cause_of_several_topics_is_one_sentence() -> None:
+    silent = [Finding(f"/imu{k}", "it is silent", 61.0 + 0.01 * k, "see its cable") for k in range(3)]
+    other = Finding("/gnss", "it is silent", 61.0, "see its antenna")
+    assert [f.who for f in together([*silent, other])] == ["/imu0, /imu1, /imu2", "/gnss"]
