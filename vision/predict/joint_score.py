@@ -19,13 +19,14 @@ from vision.image.reduced import Field
 @dataclass(frozen=True, slots=True)
 class Summit:
     """q (4,): shift u, v [px], turn [rad], log scale; its score, ratio to the highest elsewhere (< 1: by the prior); step_px:
-    shift spacing.
+    shift spacing; least: ratio without the outline that it needs most (jackknife), 0 where the summit is elsewhere without it.
     """
 
     q: Array
     score: float
     ratio: float
     step_px: float
+    least: float = np.inf
 
 
 def joint_score(field: Field, camera: Array, aimed: Array, floor: float, su: Array, sv: Array) -> Array:

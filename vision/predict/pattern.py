@@ -41,7 +41,7 @@ _AROUND_PX = 5.0 * _APART_PX  # searched all around, at least: positions that th
 _POSITION = 1.0  # pixel of the searched image: how well the summit's position is known
 _POINTS, _FEWER = 400, 240  # on the outlines; where turn and scale are searched too
 _FLOOR = 0.5  # of the image's median gradient: below it there is no direction
-SURE = 1.5  # of a summit alone: 0.03 % by chance, M being some thousand
+SURE = 1.5  # of a summit alone
 _LIKELY = 1.08  # of one where a fit is, as in registration.py
 _ALONE = PointConfig(least=1, freedom=1e9, expected=1.0)  # one point has no residual that could tell of its noise
 
@@ -70,7 +70,7 @@ def judged(
         remark = f"{result.report.detail}; {best}" if best and result.fix is None else result.report.detail
         return replace(result, report=msgspec.structs.replace(result.report, detail=remark))
     if fitted is None:
-        sure = best.ratio >= SURE
+        sure = best.ratio >= SURE and best.least >= _LIKELY
         return _as_fix(result, one_eyed(rig, right=images.only_right), marks, move, best, alone=alone) if sure else result
     off_px = float(np.linalg.norm(fitted[:2] - best.q[:2]))
     if off_px > _APART_PX * best.step_px:
@@ -108,12 +108,22 @@ def best_shift(
     seen = edge_points(straight, Prisms.of(marks), chromas(marks), pose, float(reach), _POINTS if len(turned) == 1 else _FEWER)
     if seen is None:
         return ""
-    c, floor, scores = level.camera, _FLOOR * level.typical() + 0.5, []
-    for turn in turned:
+    c, floor, apart = level.camera, _FLOOR * level.typical() + 0.5, _APART_PX * size
+
+    def scores(turn: Array, each: bool = False) -> list[Array]:
         aimed = seen.aimed(straight, move.pose(move.gain[:, 2:] @ turn), move.gain[:, :2])
         field = level.field(aimed, (float(su[0]), float(su[-1])), (float(sv[0]), float(sv[-1])))
-        scores.append(joint_score(field, np.array([c.fx, c.fy, c.cx, c.cy]), aimed, floor, su, sv))
-    return summit(np.array(scores), turned, su, sv, move.covariance, _APART_PX * size)
+        camera = np.array([c.fx, c.fy, c.cx, c.cy])
+        some = [aimed[seen.mark_of_point == mark] for mark in np.unique(seen.mark_of_point)] if each else [aimed]
+        return [len(one) / len(aimed) * joint_score(field, camera, one, floor, su, sv) for one in some]
+
+    best = summit(np.array([scores(turn)[0] for turn in turned]), turned, su, sv, move.covariance, apart)
+    if len(turned) == 1 or best.ratio < SURE:
+        return best
+    singly = np.array(scores(best.q[2:], each=True))
+    without = [summit((singly.sum(axis=0) - one)[None], best.q[None, 2:], su, sv, move.covariance, apart) for one in singly]
+    moved = [float(np.linalg.norm(one.q[:2] - best.q[:2])) > apart for one in without]
+    return replace(best, least=0.0 if any(moved) else min(one.ratio for one in without))
 
 
 def _grid(move: Motion, config: CoarseConfig, fitted: Array | None) -> tuple[int, Array, Array, Array] | str:

@@ -184,6 +184,13 @@ def test_with_an_open_heading_nothing_there_is_no_fix() -> None:
     assert asked(ROW[1:4], ROW, yaw_rad=math.radians(3.0))[0].fix is None
 
 
+@pytest.mark.parametrize(("standing", "found"), [(VILLAGE[2:3], False), (VILLAGE[:3], True)])
+def test_with_an_open_heading_one_outline_of_three_is_no_position(standing: Boxes, found: bool) -> None:
+    """The one that stands there alone has 1.76 times the second position, all three 1.75."""
+    result, _ = asked(VILLAGE[:3], standing, yaw_rad=math.radians(3.0), yaw_off=math.radians(4.0))
+    assert (result.fix is not None) is found
+
+
 def test_with_an_open_heading_two_outlines_are_too_few() -> None:
     before = nothing(7, "no_pose", "no fit")
     assert asked(VILLAGE[:2], VILLAGE[:2], yaw_rad=math.radians(3.0), result=before)[0] is before
