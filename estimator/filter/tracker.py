@@ -4,6 +4,7 @@ It changes by measurements in order of validity alone.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace as replace_in
 
 import numpy as np
@@ -26,7 +27,7 @@ from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.hypotheses import Hypotheses, Hypothesis, Verdict
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.imu_evidence import FELT, ImuEvidence
-from estimator.filter.mismatch import BiasWalk, Delays, Frame, Jamming, Scatter, delay, speed_step
+from estimator.filter.mismatch import BiasWalk, Delays, Frame, Jamming, Lasting, Scatter, delay, lasting, speed_step
 from estimator.filter.relative import steps
 from estimator.filter.relinearise import Stretch
 from estimator.filter.variance_factor import NO_EXCESS
@@ -75,6 +76,7 @@ class Tracker:
         self.frames: dict[str, Frame] = {}  # of pose sources; never changed in place
         self.receiver_n: Array | None = None  # newest position of a receiver
         self.delays: Delays = {}
+        self.lasting: Mapping[str, Lasting] = {}  # of pose sources
         self.late_cov: Array | None = None  # (3, 3) of the position, by a delay that the newest fix may have
         self.speed_steps: speed_step.Steps = {}
         self.bias_walk = BiasWalk()
@@ -97,7 +99,8 @@ class Tracker:
         other.core.receivers = core.receivers
         other.sources, other.place, other.anchor = self.sources.copy(), self.place, self.anchor
         other.alignment.given_up = self.alignment.given_up
-        other.frames, other.receiver_n, other.delays, other.bias_walk = self.frames, self.receiver_n, self.delays, self.bias_walk
+        other.frames, other.receiver_n, other.lasting = self.frames, self.receiver_n, self.lasting
+        other.delays, other.bias_walk = self.delays, self.bias_walk
         return other
 
     @property
@@ -327,7 +330,10 @@ class Tracker:
         else:
             hypotheses, switches = core.hypotheses, core.hypotheses.switches
             aid = delay.carried(aid, z, core.last_sample(samples), self.delays, hypotheses.members, alone=alone)
+            as_it_came, whole = aid, z
+            aid, z = lasting.carried(aid, z, self.lasting)
             decision, state = self._judge(aid, z, gyro_b, state, alone=alone)
+            self.lasting = lasting.noted(as_it_came, whole, decision.innovation, self.lasting)
             self._note_speed(aid, z, gyro_b, samples, fused=decision.reason is Reason.FUSED)
             if decision.reason is Reason.GATED:
                 self._forget_estimated(aid, z)
@@ -405,7 +411,8 @@ class Tracker:
         apart = core.conflicts.apart.get(aid.witness)
         may_be_late = apart is None or delay.explains(apart.off, apart.s, core.hypotheses.lead.x)
         if trusted and may_be_late and (aid.absolute or aid.receiver):
-            self.delays = delay.noted(aid, verdict.seen, verdict.gate, self.delays, core.hypotheses.members)
+            weight = self.lasting[aid.topic].weight if aid.topic in self.lasting else 1.0
+            self.delays = delay.noted(aid, verdict.seen, verdict.gate, self.delays, core.hypotheses.members, weight)
             if aid.absolute and (aid.delay_sigma_s or alone):
                 self.late_cov = self.delays[aid.witness].covariance(aid.delay_sigma_s, core.hypotheses.lead.x[X.V])
             if self.delays[aid.witness].is_state:

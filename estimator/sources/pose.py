@@ -153,7 +153,7 @@ def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
     if isinstance(slow_errors, Refusal):
         return slow_errors
     if config.lasting_share > 0 and given.whole:
-        slow_errors = (*slow_errors, lasting(fix.topic, noise, config))
+        slow_errors = (*slow_errors, lasting(fix.topic, noise * config.lasting_share, config.lasting_s))
         noise = noise * (1.0 - config.lasting_share)
     z: Measurement = Pose(p_n, q, noise, given.rows, given.attitude)
     t_ns = fix.t_ns - round(config.delay_s * 1e9)
@@ -252,9 +252,9 @@ def _steady(block: str, moved: Array) -> SlowError:
     return SlowError(block, _unit(moved.shape[1]), math.inf, moved)
 
 
-def lasting(topic: str, covariance: Array, config: PoseConfig) -> SlowError:
-    """Six errors that the next fix shares (light, texture); covariance (6, 6): the fix's."""
-    return SlowError(f"{topic}.look", _unit(_SIX), config.lasting_s, symmetric_root(covariance * config.lasting_share)[0])
+def lasting(topic: str, covariance: Array, lasting_s: float) -> SlowError:
+    """Six errors that the next fix shares (light, texture), covariance (6, 6)."""
+    return SlowError(f"{topic}.look", _unit(_SIX), lasting_s, symmetric_root(covariance)[0])
 
 
 def _on_the_body(block: str, moved: Array) -> SlowError:

@@ -58,12 +58,12 @@ def test_each_measurement_is_reported_once_and_punctually(hovering: Run) -> None
 
 
 def test_test_ratio_is_the_distance_by_the_gate_and_sigma_that_of_the_innovation(hovering: Run) -> None:
-    fusion = Run(Fusion(FusionConfig())).feed(hover(8.0)).fusion
+    fusion = Run(Fusion(FusionConfig())).feed(hover(4.0)).fusion
     bank = fusion._history.tracker.core.hypotheses
     assert bank is not None
     prior, p_n = bank.lead.cov.copy(), bank.lead.x[X.P].copy()
-    fix = pose_fix(EPOCH_NS + 8 * SECOND, (0.3, 0.0, 0.0))
-    run = Run(fusion).feed([fix, *(_sample(EPOCH_NS + 8 * SECOND + k * SECOND // 100) for k in (1, 2))])
+    fix = pose_fix(EPOCH_NS + 4 * SECOND, (0.3, 0.0, 0.0))
+    run = Run(fusion).feed([fix, *(_sample(EPOCH_NS + 4 * SECOND + k * SECOND // 100) for k in (1, 2))])
     (status,) = run.statuses
     sigma = np.sqrt(np.diag(prior[E.P, E.P]) + 0.01)
     np.testing.assert_allclose(status.innovation_sigma[:3], sigma, rtol=1e-6)

@@ -65,8 +65,8 @@ class Delay(NamedTuple):
             return None
         return variance * (v_n[:, None] * v_n)
 
-    def also(self, t_ns: int, seen: Innovation, column: int, gate: float = math.inf) -> "Delay":
-        """The evidence with one more innovation; column: of tau in P.
+    def also(self, t_ns: int, seen: Innovation, column: int, gate: float = math.inf, weight: float = 1.0) -> "Delay":
+        """The evidence with one more innovation; column: of tau in P; weight: of a reading that shares errors with the last.
 
         gate: a reading beyond it counts only where it shows a delay by itself.
         """
@@ -77,7 +77,7 @@ class Delay(NamedTuple):
         information, score = _score(seen.nu, seen.s, seen.hp, column)
         if math.isnan(information):
             return sums
-        total, scores = sums.information + information, sums.score + score
+        total, scores = sums.information + weight * information, sums.score + weight * score
         if seen.distance2 > gate:
             tau = scores / total if total > 0.0 else 0.0  # at rest no reading shows a delay
             left = seen.distance2 - 2.0 * tau * score + tau**2 * information  # (nu - J' tau)^T S^-1 (nu - J' tau)
@@ -119,14 +119,14 @@ def explains(off: Array, s: Array, x: Array) -> bool:
     return float(np.linalg.norm(off)) <= _LONGEST_S * float(np.linalg.norm(x[X.V])) + 3.0 * math.sqrt(float(s.trace()))
 
 
-def noted(aid: Aid, seen: Innovation, gate: float, delays: Delays, members: Sequence[Hypothesis]) -> Delays:
+def noted(aid: Aid, seen: Innovation, gate: float, delays: Delays, members: Sequence[Hypothesis], weight: float = 1.0) -> Delays:
     """After a reading of the leading filter; a detected delay becomes a state of each filter."""
     topic = aid.witness
     before = delays.get(topic) or Delay(aid.t_ns)
     name, lead = block(topic), members[0].filter
     now = before
     if not before.is_state and name in lead.slow.columns and lead.slow.columns[name].stop <= seen.hp.shape[1]:
-        now = before.also(aid.t_ns, seen, lead.slow.columns[name].start, gate)
+        now = before.also(aid.t_ns, seen, lead.slow.columns[name].start, gate, weight)
     if now.is_state and not before.is_state:
         for member in members:
             if name in member.filter.slow.columns:
