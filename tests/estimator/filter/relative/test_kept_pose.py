@@ -1,5 +1,6 @@
 """The kept pose in the filter: a clone of the state's pose, corrected by what comes later, gone where the filter jumps."""
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -13,7 +14,7 @@ from estimator.sources.odometry import OdometryAid, OdometryConfig, drift_block
 from models import imu
 from models.imu import Coast, ImuNoise
 from models.measurements import Position
-from models.messages import Array, ImuSample, OdometryDelta, Reason
+from models.messages import Array, ImuSample, OdometryDelta, OdometryPose, Reason
 from models.state import E, X
 
 SECOND = 10**9
@@ -118,6 +119,23 @@ def test_increments_do_not_overlap() -> None:
     lead.propagate(samples, samples.first_after(SECOND), second.t_ns)
     assert step.reason is Reason.FUSED
     assert steps.take(bank, second, step.kept, step.state, alone=True).reason is Reason.THINNED
+
+
+@pytest.mark.parametrize("off_ns", [-500_000, 0, 500_000])
+def test_a_lost_pose_ends_nothing_and_begins_nothing(off_ns: int) -> None:
+    """Whatever tells of it arrives later, and its stamp may differ by less than 1 ms."""
+    f = _filter()
+    bank, samples, kept, state, reasons = Hypotheses([Hypothesis(f)]), _samples(), None, SourceState(), []
+    half = SECOND // 2
+    told = [OdometryPose(k * half, 0, (float(k), 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), topic=TOPIC) for k in range(5)]
+    told.append(msgspec.structs.replace(told[2], t_ns=told[2].t_ns + off_ns, frame="", is_lost=True))
+    aids = [aid_of(pose, SourcesConfig(odometry=CONFIG)) for pose in told]
+    for aid in sorted((aid for aid in aids if isinstance(aid, OdometryAid)), key=lambda aid: aid.order):
+        f.propagate(samples, samples.first_after(f.t_ns), aid.t_ns)
+        step = steps.take(bank, aid, kept, state, alone=True)
+        kept, state = step.kept, step.state
+        reasons.append(step.reason)
+    assert reasons == [Reason.THINNED, Reason.FUSED, Reason.NO_FIX, Reason.NO_FIX, Reason.THINNED, Reason.FUSED]
 
 
 def test_hypotheses_are_separated_by_little_and_each_fuses_what_it_predicted() -> None:
