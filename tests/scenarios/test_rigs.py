@@ -110,6 +110,7 @@ def test_a_rig_finds_its_position_and_holds_it(file: Path) -> None:
         *Inputs().pose_fix,
         *Inputs().attitude,
         *Inputs().rest,
+        *config.inputs.zed_status,
         *Inputs().left_image,
         *Inputs().right_image,
     }
