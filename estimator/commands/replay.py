@@ -49,6 +49,7 @@ def command(
         from estimator.config import load
         from estimator.replay.from_images import seen_again
         from estimator.replay.replay import replay
+        from logs.findings import together
         from logs.store.parts import files_of
 
         loaded, folder = load(config), config.parent if config else Path()
@@ -67,8 +68,9 @@ def command(
         print_json(summary)
     else:
         print_summary(summary, out)
-    for finding in summary.findings[:1]:
-        more = f" ({len(summary.findings) - 1} more: landfix doctor)" if len(summary.findings) > 1 else ""
+    found = together(summary.findings)
+    for finding in found[:1]:
+        more = f" ({len(found) - 1} more: landfix doctor)" if len(found) > 1 else ""
         note(f"landfix: at fault: {finding}{more}")
     if summary.remark:
         note(f"landfix: {summary.remark}")

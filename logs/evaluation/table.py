@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from textwrap import wrap
 
 from rich import box
-from rich.console import Console
+from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
 
@@ -44,15 +44,14 @@ def _narrow(table: Rows) -> Rows:
     ]  # fmt: skip
 
 
-def _table(title: str, columns: tuple[str, ...], rows: Sequence[Sequence[str]]) -> Table:
-    table = Table(
-        title=title, title_justify="left", title_style="bold", header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0)
-    )
+def _table(title: str, columns: tuple[str, ...], rows: Sequence[Sequence[str]]) -> Group:
+    """The title is as wide as the screen, not as its table."""
+    table = Table(header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for k, column in enumerate(columns):
         table.add_column(column, justify="right" if k else "left", no_wrap=not k)
     for row in rows:
         table.add_row(*map(Text, row))
-    return table
+    return Group(Text(title, style="bold"), table)
 
 
 def number(x: float | None, digits: int = 3) -> str:

@@ -11,6 +11,7 @@ from logs.evaluation.collected import Collected
 from logs.evaluation.metrics import Consistency
 from logs.evaluation.records import AidSummary, Evaluation
 from logs.findings import Finding as Cause
+from logs.findings import together
 from logs.report.gather import Gathered
 from logs.store.reader import Attachment
 from logs.store.recorder import FINDINGS_ATTACHMENT
@@ -104,7 +105,7 @@ def at_fault(attachments: Iterable[Attachment]) -> list[Finding]:
         causes = msgspec.json.decode(data, type=list[Cause])
     except msgspec.DecodeError:
         return []
-    return [Finding(Level.WRONG if cause.unfit else Level.WARNING, f"at fault: {one_line(str(cause))}") for cause in causes]
+    return [Finding(Level.WRONG if c.unfit else Level.WARNING, f"at fault: {one_line(str(c))}") for c in together(causes)]
 
 
 def _consistency(e: Evaluation) -> list[Finding]:
