@@ -35,7 +35,8 @@ def table(text: str) -> dict[str, Any]:
     except RecursionError:
         raise ValueError("not valid TOML: it is nested too deeply") from None
     except ValueError as error:  # a TOMLDecodeError, or a number of more than 4300 digits
-        raise ValueError(f"not valid TOML: {one_line(str(error))}") from None
+        said = str(error).replace("Cannot overwrite a value", "this key or section is there twice")
+        raise ValueError(f"not valid TOML: {one_line(said)}") from None
 
 
 def one_line(text: str, most: int = 300) -> str:

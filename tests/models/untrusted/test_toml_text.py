@@ -28,3 +28,8 @@ def test_dots_in_strings_comments_and_short_keys_are_no_parts() -> None:
     dots = ".".join("a" * 30)
     text = f'a.b.c = "{dots}"  # {dots}\nd = """\n{dots} = 1\n"""\n'
     assert toml_text.table(text) == {"a": {"b": {"c": dots}}, "d": f"{dots} = 1\n"}
+
+
+def test_a_key_that_is_there_twice_is_said_so() -> None:
+    with pytest.raises(ValueError, match=r"^not valid TOML: this key or section is there twice \(at line 2"):
+        toml_text.table("a = 1\na = 2\n")
