@@ -105,9 +105,14 @@ def _imu(rng: np.random.Generator, topic: str, after_ns: int) -> list[ImuSample]
 
 
 def _fix(t_ns: int, p: Array, yaw: float, late_ns: int) -> PoseFix:
-    covariance = np.diag([0.15**2] * 3 + [math.radians(1.0) ** 2] * 3)
-    q = (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
-    return PoseFix(BEGIN_NS + t_ns, BEGIN_NS + t_ns + late_ns, _vec3(p), q, covariance)
+    sigmas = np.array([0.15] * 3 + [math.radians(1.0)] * 3)
+    off = sigmas * np.random.default_rng(t_ns).standard_normal(6)
+    x, y, z = (0.5 * off[3:]).tolist()
+    w, up = math.cos(yaw / 2), math.sin(yaw / 2)
+    q = (w - up * z, w * x - up * y, w * y + up * x, up + w * z)
+    length = math.hypot(*q)
+    unit = (q[0] / length, q[1] / length, q[2] / length, q[3] / length)
+    return PoseFix(BEGIN_NS + t_ns, BEGIN_NS + t_ns + late_ns, _vec3(p + off[:3]), unit, np.diag(sigmas**2))
 
 
 def _gnss(t_ns: int, p: Array) -> GnssFix:

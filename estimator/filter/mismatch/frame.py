@@ -24,7 +24,7 @@ from models.state import X
 
 _SPACING_NS, _LONGEST_NS = 1_000_000_000, 3_000_000_000  # of two fixes that are compared
 _ANEW_S = 60.0  # the sums begin anew
-_FEWEST = 8
+_PAIRS = 4  # a verdict after each so many, from the second time on
 _EVIDENCE, _WORSE = 20.0, 5.0  # ln of the ratio of two frames; of a frame to any linear map
 _LEFT = np.array([0.6, 0.35])[:, None, None]  # share of the power that the frame may leave unexplained: k = 1, another
 _TURN_LEFT = 0.35  # share of the rotation that the attitudes may
@@ -74,7 +74,7 @@ class Moments(NamedTuple):
     def verdict(self) -> tuple[int, Array, float] | None:
         """Attitude, M and k by which the IMU explains the fixes, and no other does; None: not shown."""
         n = self.sums[0, 0, 0]
-        if n < _FEWEST:
+        if n < 2 * _PAIRS or n % _PAIRS:
             return None
         centred = self.sums[:, 1:, 1:] - self.sums[:, 1:, :1] * self.sums[:, :1, 1:] / n
         s_a, s_da, s_d = centred[:, :_XYZ, :_XYZ], centred[:, _XYZ:, :_XYZ], max(float(np.trace(centred[0, _XYZ:, _XYZ:])), _TINY)
