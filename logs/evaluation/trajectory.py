@@ -14,6 +14,7 @@ from models.messages import Array
 POSE_TYPES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PoseStamped")
 _DOUBLES = dict(zip(POSE_TYPES, (85, 43, 7), strict=True))  # every message of these types ends with so many
 _NOT_GIVEN_RAD2 = 10.0  # an attitude variance from here on says "not given"
+_MOVED_M = 1.0  # in a log: a twist of zeros was not filled in
 _ABSURD = 1e15  # no length, speed or variance is so large: bytes that are no number of ours
 _ENCAPSULATION = 4  # bytes before the CDR body
 
@@ -75,7 +76,7 @@ def _stamps(data: Sequence[bytes]) -> Times:
 def from_rows(t_ns: Times, arrived_ns: Times, x: Array) -> Trajectory:
     """Trajectory of rows of 3 (position), 7 (pose), 43 (covariance) or 85 (twist) doubles.
 
-    The first of equal stamps counts; quaternions (xyzw) not of length 1 are dropped.
+    The first of equal stamps counts; quaternions (xyzw) not of length 1 are dropped, and a twist of zeros where positions move.
     """
     t_ns, first = np.unique(t_ns, return_index=True)
     x, arrived_ns = x[first], arrived_ns[first]
@@ -87,6 +88,8 @@ def from_rows(t_ns: Times, arrived_ns: Times, x: Array) -> Trajectory:
     given = (np.abs(norm - 1.0) < 0.5) & ~(np.diagonal(covariance, axis1=1, axis2=2)[:, 3:] >= _NOT_GIVEN_RAD2).any(axis=1)
     q_wxyz = np.full((n, 4), np.nan)
     q_wxyz[given] = np.roll(q_xyzw[given], 1, axis=1) / norm[given, None]
+    if n and not full[:, 43:46].any() and np.ptp(p, axis=0).max() > _MOVED_M:
+        full[:, 43:] = np.nan
     return Trajectory(t_ns, arrived_ns, p, q_wxyz, full[:, 43:46], covariance, full[:, 49:85].reshape(n, 6, 6)[:, :3, :3])
 
 

@@ -118,7 +118,7 @@ def _mounting(imu: str, mean: Array, notes: list[str]) -> tuple[str, tuple[float
     mounting = (90.0 * round(roll / 90.0) if abs(x) < _LEAN else 0.0, 90.0 * round(pitch / 90.0))
     notes.append(
         f"{imu}: the mean specific force is ({force}) m/s^2: mounting_rpy_deg = [{mounting[0]:g}, {mounting[1]:g}, 0] stands it "
-        "upright; its yaw in the body does not show, set it"
+        "upright; its yaw in the body does not show, set it; leave it out with poses of the IMU's own axes, as of most VIOs"
     )
     return "flu", mounting
 

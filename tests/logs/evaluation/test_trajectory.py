@@ -148,3 +148,11 @@ def test_nothing_is_reported_outside_or_in_a_hole_but_at_its_edges() -> None:
     np.testing.assert_allclose(at.p[:, 0], [10, 15, 20, 50, 55], atol=1e-12)
     assert not interpolate(straight([]), np.array([1, 2]), 10)[1].any()
     assert interpolate(straight([7]), np.array([7, 8]), 10)[1].tolist() == [True, False]
+
+
+def test_a_twist_that_nobody_filled_in_is_no_velocity() -> None:
+    t, rows = np.array([1, 2, 3]), np.zeros((3, 85))
+    rows[:, 6] = 1.0
+    assert (from_rows(t, t, rows.copy()).v_body == 0.0).all()  # at rest
+    rows[:, 0] = 0.0, 2.0, 4.0
+    assert np.isnan(from_rows(t, t, rows).v_body).all()
