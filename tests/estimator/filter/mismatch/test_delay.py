@@ -170,6 +170,13 @@ def test_a_delay_that_is_known_badly_is_no_state_however_unlikely_the_innovation
     assert found.is_state == is_state
 
 
+def test_a_reading_that_shares_errors_with_the_last_counts_less() -> None:
+    seen = Innovation(np.array([3.0]), np.eye(1), 1e-7 * np.eye(1), np.eye(1), np.eye(1), 9.0, 0.0)
+    whole, part = (delay.Delay(EPOCH_NS).also(EPOCH_NS, seen, 0, weight=weight) for weight in (1.0, 0.1))
+    assert part.information == pytest.approx(0.1 * whole.information)
+    assert part.score == pytest.approx(0.1 * whole.score)
+
+
 @pytest.mark.parametrize(
     ("off", "counts"),
     [((6.0, 6.0), True), ((6.0, -6.0), False), ((3.0, 3.0), False), ((60.0, 60.0), False)],

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.mismatch import Frame
+from estimator.filter.mismatch.frame import Moments, Way
 from models.frames import ENU_FROM_NED, FLU_FROM_FRD
 from models.messages import ImuSample, Input, PoseFix, Reason, vec3
 from models.sim.scenario import EPOCH_NS, Simulation
@@ -44,14 +45,45 @@ def _late(fix: PoseFix) -> PoseFix:
 
 
 def _said(messages: Sequence[Input], change: Change) -> str | None:
-    samples, frame = ImuBuffer(), None
+    """What is said in the end; it does not change its words."""
+    samples, frame, said = ImuBuffer(), None, list[str]()
     for m in messages:
         if isinstance(m, ImuSample):
             samples.insert(m)
     for m in sorted((change(m) for m in messages if isinstance(m, PoseFix)), key=lambda fix: fix.t_ns):
         p_n, q = np.array(m.p_n), np.array(m.q_nb_wxyz)
         frame = Frame.of(m.t_ns, p_n, q) if frame is None else frame.also(m.t_ns, p_n, q, samples)
+        said += [frame.says] if frame.says and frame.says not in said else []
+    assert len(said) <= 1
     return None if frame is None else frame.says
+
+
+def _moments(a: object, m: object, seed: int = 1) -> Moments:
+    """Of changes of velocity a (n, 3) that fixes show as m a."""
+    rng, found = np.random.default_rng(100 + seed), Moments(EPOCH_NS, np.zeros((2, 7, 7)), 1.0, np.zeros(2))
+    still = Way(*np.zeros((3, 2, 3)))._replace(by_fixes=np.zeros(3))
+    for row in np.asarray(a, dtype=float):
+        by_fixes = np.asarray(m) @ row + rng.normal(0.0, 0.1, 3)
+        found = found.also(still, Way(by_fixes, np.stack((row, row)), np.zeros((2, 3))))
+    return found
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_frame_that_another_explains_as_well_is_not_shown(seed: int) -> None:
+    """Level flight: the sign of the height cannot be seen; of two frames that are as good the one with fewer changes is named."""
+    level = np.random.default_rng(seed).normal(0.0, 1.0, (60, 3)) * [1.0, 1.0, 0.005]
+    assert _moments(level, np.eye(3), seed).verdict is None
+    found = _moments(level, np.diag([1.0, -1.0, 1.0]), seed).verdict
+    if found is not None:
+        np.testing.assert_array_equal(found[1], np.diag([1.0, -1.0, 1.0]))
+
+
+def test_a_turn_that_no_exchange_of_axes_makes_is_none() -> None:
+    """All motion along one diagonal: exchanged axes are near to a turn of 60 degrees, but another map is better."""
+    rng = np.random.default_rng(3)
+    along = rng.normal(0.0, 1.0, (40, 1)) * [1.0, 0.2, 0.0] + rng.normal(0.0, 0.2, (40, 3))
+    turn = Rotation.from_euler("z", 60.0, degrees=True).as_matrix()
+    assert _moments(along, turn).verdict is None
 
 
 @pytest.mark.parametrize(

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from estimator.filter.mismatch import Lasting
+from estimator.filter.mismatch import Lasting, lasting
+from estimator.sources.pose import PoseConfig
+from models.measurements import Pose
 from models.messages import Array, Input, PoseFix, vec3
 from models.sim.scenario import EPOCH_NS, Simulation
 from models.state import E
-from tests.estimator.scenes import SECOND, error, fly, position_errors, radii, simulated, within
+from tests.estimator.scenes import SECOND, aid_of, error, fly, pose_fix, position_errors, radii, simulated, within
 
 SIGMA, SETTLED_S = 0.2, 20.0
 
@@ -52,12 +54,27 @@ def test_position_and_attitude_have_shares_of_their_own() -> None:
     assert attitude < 0.05
 
 
-def test_a_false_fix_changes_little_and_a_pause_nothing() -> None:
+def test_false_fixes_change_little_and_a_pause_nothing() -> None:
     nus = SIGMA * _course(400, 0.97, 3)
-    nus[395, :3] += 50.0
-    assert min(_after(nus).shares) > 0.4
+    nus[[386, 394], :3] += 50.0
+    assert min(_after(nus).shares) > 0.6
     known = _after(SIGMA * _course(400, 0.97, 3))
     assert known.also(known.t_ns + 60 * SECOND, np.ones(6), np.eye(6)).shares == known.shares
+
+
+def test_the_variance_that_a_fix_reports_is_divided_and_a_division_that_is_configured_stays() -> None:
+    fix = pose_fix(EPOCH_NS)
+    aid, configured = aid_of(fix), aid_of(fix, PoseConfig(lasting_share=0.5))
+    z = aid.measurement(None)
+    assert isinstance(z, Pose)
+    known = {aid.topic: _after(SIGMA * _course(400, 0.97, 3))}
+    divided, rest = lasting.carried(aid, z, known)
+    assert isinstance(rest, Pose)
+    (look,) = [e.moves(np.zeros(16)) for e in divided.slow_errors if e.block == "/pose_fix.look"]
+    assert look is not None
+    np.testing.assert_allclose(np.diag(rest.noise + look @ look.T), np.diag(z.noise))
+    np.testing.assert_allclose(np.diag(look @ look.T) / np.diag(z.noise), np.repeat(known[aid.topic].shares, 3))
+    assert lasting.noted(configured, z, (0.0,) * 6, known) is known
 
 
 def _flown(shift: Sequence[Array] | None, claimed: float = 1.0) -> tuple[Simulation, list[Input]]:
@@ -86,6 +103,7 @@ def test_correlated_fixes_are_not_averaged_away(seed: int) -> None:
     nees = [o @ np.linalg.solve(e.covariance[E.P, E.P], o) / 3.0 for o, e in zip(off, found, strict=True)]
     assert np.mean(nees) < 2.0
     assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 1.2 * np.sqrt(3.0) * SIGMA
+    assert not any("stamps of" in h.detail for h in run.health)
     assert run.internal_errors() == []
 
 
