@@ -394,8 +394,12 @@ def test_the_flags_of_the_receiver(landfix_data: Path, tmp_path: Path, jamming: 
     log = ULog(str(landfix_data / "native_logs" / LOGS[0]))
     topic = next(d for d in log.data_list if d.name == "vehicle_gps_position")
     topic.data["jamming_state"][:], topic.data["spoofing_state"][:] = jamming, spoofing
-    authentication = topic.data.setdefault("authentication_state", np.zeros_like(topic.data["jamming_state"]))
-    authentication[:3] = spoofing
+    (authentication,) = (field for field in topic.field_data if field.field_name == "selected_rtcm_instance")  # as wide
+    authentication.field_name = "authentication_state"
+    topic.data["authentication_state"] = topic.data.pop("selected_rtcm_instance")
+    topic.data["authentication_state"][:3] = spoofing
+    fields = log.message_formats[topic.name].fields
+    fields[:] = [(kind, n, name.replace("selected_rtcm_instance", "authentication_state")) for kind, n, name in fields]
     log.write_ulog(str(tmp_path / "flagged.ulg"))
     recording = ulog.read(tmp_path / "flagged.ulg")
     assert {m.state for m in recording if isinstance(m, GnssFix)} == {ReceiverState(state)}
