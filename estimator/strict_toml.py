@@ -152,6 +152,7 @@ _REMOVED = {  # key, section.key or .section: what to do
             "sources/rest.py": "rest.every_s rest.after_s rest.gyro rest.accel rest.known_m_s rest.rate_sigma",
             "sources/air/drag.py": "drag.every_s drag.tilt_deg",
             "sources/air/airspeed.py": "sideslip_s",
+            "sources/pose.py": "pose_fix.lasting_s landmark_fix.lasting_s",
             "sources/range.py": "sigma_share steepest_deg",
             "fusion.py": "future_s reset_sigma",
             "frontend/repeat.py": "replay_latency_ms",

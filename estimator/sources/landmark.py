@@ -48,7 +48,7 @@ def _partial_aid(fix: LandmarkFix, directions: Array, readings: Array, config: P
     if isinstance(slow_errors, Refusal):
         return slow_errors
     if config.lasting_share > 0:
-        slow_errors = (*slow_errors, lasting(fix.topic, covariance * config.lasting_share, config.lasting_s))
+        slow_errors = (*slow_errors, lasting(fix.topic, covariance * config.lasting_share))
         noise = noise * (1.0 - config.lasting_share)
     p_n, q = pose
     z = PartialPose(p_n, q, directions, readings, noise)

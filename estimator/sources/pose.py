@@ -25,6 +25,7 @@ FARTHEST_M = 1e6
 _MOST_LANDMARKS, _MOST_ERRORS = 8, 8  # in one fix, and of each
 _LARGEST_ERROR = 300.0  # m or rad
 _ROUNDING = 1e-9
+_LASTS_S = 3.0  # what the next image shares with this one
 _OF_UNIT = 1e-2  # a quaternion's length is within this of one
 _NOTHING = np.zeros((6, 6))
 _LEVEL = (1.0, 0.0, 0.0, 0.0)
@@ -56,7 +57,8 @@ _AttitudeSigma: TypeAlias = Annotated[
     float, Meta(ge=0.01, le=180, description="deg: of an attitude whose variance is 0, which says that it is unknown")
 ]
 _Share: TypeAlias = Annotated[
-    float, Meta(ge=0, lt=1, description="share of the variance that a fix claims for itself that the next one still has")
+    float,
+    Meta(ge=0, lt=1, description="share of the variance that a fix claims for itself that the next still has; 0: found"),
 ]
 
 
@@ -71,7 +73,6 @@ class PoseConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     tilt_deg: _Tilt = 0.2
     mount_deg: _Mount = 0.17
     lasting_share: _Share = 0.0
-    lasting_s: Annotated[float, Meta(ge=1e-3, le=1e6, description="s: for so long it lasts")] = 3.0
 
 
 class LandmarkFixConfig(PoseConfig, frozen=True, forbid_unknown_fields=True):
@@ -153,7 +154,7 @@ def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
     if isinstance(slow_errors, Refusal):
         return slow_errors
     if config.lasting_share > 0 and given.whole:
-        slow_errors = (*slow_errors, lasting(fix.topic, noise * config.lasting_share, config.lasting_s))
+        slow_errors = (*slow_errors, lasting(fix.topic, noise * config.lasting_share))
         noise = noise * (1.0 - config.lasting_share)
     z: Measurement = Pose(p_n, q, noise, given.rows, given.attitude)
     t_ns = fix.t_ns - round(config.delay_s * 1e9)
@@ -252,9 +253,9 @@ def _steady(block: str, moved: Array) -> SlowError:
     return SlowError(block, _unit(moved.shape[1]), math.inf, moved)
 
 
-def lasting(topic: str, covariance: Array, lasting_s: float) -> SlowError:
+def lasting(topic: str, covariance: Array) -> SlowError:
     """Six errors that the next fix shares (light, texture), covariance (6, 6)."""
-    return SlowError(f"{topic}.look", _unit(_SIX), lasting_s, symmetric_root(covariance)[0])
+    return SlowError(f"{topic}.look", _unit(_SIX), _LASTS_S, symmetric_root(covariance)[0])
 
 
 def _on_the_body(block: str, moved: Array) -> SlowError:

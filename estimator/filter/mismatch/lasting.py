@@ -25,7 +25,6 @@ _LN_MEAN = -0.369  # E ln (chi2_3 / 3)
 _BOUND = 1.65  # three sigmas of y
 _LEAST_LN, _MOST_LN = -6.0, 2.0
 _APART_S = 1.1  # fixes further apart are not compared
-_LASTS_S = 3.0
 _XYZ = 3
 
 
@@ -69,7 +68,7 @@ def carried(aid: Aid, z: Measurement, known: Mapping[str, Lasting]) -> tuple[Aid
         return aid, z
     shares = np.repeat(of.shares, _XYZ)
     lasts, own = np.sqrt(shares), np.sqrt(1.0 - shares)
-    error = lasting(aid.topic, lasts[:, None] * z.noise * lasts, _LASTS_S)
+    error = lasting(aid.topic, lasts[:, None] * z.noise * lasts)
     return replace(aid, slow_errors=(*aid.slow_errors, error)), replace_in(z, noise=own[:, None] * z.noise * own)
 
 

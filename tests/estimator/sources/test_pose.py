@@ -251,13 +251,13 @@ def test_a_landmark_fix_is_a_pose_fix_too() -> None:
 
 
 def test_a_share_of_a_fixs_own_error_lasts_and_the_whole_stays_what_it_claims() -> None:
-    config = PoseConfig(tilt_deg=0.0, mount_deg=0.0, lasting_share=0.6, lasting_s=2.0)
+    config = PoseConfig(tilt_deg=0.0, mount_deg=0.0, lasting_share=0.6)
     aid = _aid(_fix(), config)
     (look,) = aid.slow_errors
     z = aid.measurement(None)
     assert z is not None
     assert look.block == "/pose_fix.look"
-    assert look.tau_s == 2.0
+    assert look.tau_s == 3.0
     np.testing.assert_allclose(z.noise, 0.4 * GIVEN, atol=1e-15)
     np.testing.assert_allclose(z.noise + _covariance(look), GIVEN, atol=1e-15)
 
