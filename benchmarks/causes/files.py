@@ -16,7 +16,7 @@ Change = Callable[[bytes, np.random.Generator], bytes]
 
 
 class FileFault(NamedTuple):
-    """seed: format of the file; words: one of them names the cause; kind: what import is told, if that is another."""
+    """seed: format of the file; words: one of them names the cause; kind: that import is given, if it is another."""
 
     seed: str
     file: str

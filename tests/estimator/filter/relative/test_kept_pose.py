@@ -123,13 +123,13 @@ def test_increments_do_not_overlap() -> None:
 
 @pytest.mark.parametrize("off_ns", [-500_000, 0, 500_000])
 def test_a_lost_pose_ends_nothing_and_begins_nothing(off_ns: int) -> None:
-    """Whatever tells of it arrives later, and its stamp may differ by less than 1 ms."""
+    """The status may arrive later, and its stamp may differ by less than 1 ms."""
     f = _filter()
     bank, samples, kept, state, reasons = Hypotheses([Hypothesis(f)]), _samples(), None, SourceState(), []
     half = SECOND // 2
-    told = [OdometryPose(k * half, 0, (float(k), 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), topic=TOPIC) for k in range(5)]
-    told.append(msgspec.structs.replace(told[2], t_ns=told[2].t_ns + off_ns, frame="", is_lost=True))
-    aids = [aid_of(pose, SourcesConfig(odometry=CONFIG)) for pose in told]
+    poses = [OdometryPose(k * half, 0, (float(k), 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), topic=TOPIC) for k in range(5)]
+    poses.append(msgspec.structs.replace(poses[2], t_ns=poses[2].t_ns + off_ns, frame="", is_lost=True))
+    aids = [aid_of(pose, SourcesConfig(odometry=CONFIG)) for pose in poses]
     for aid in sorted((aid for aid in aids if isinstance(aid, OdometryAid)), key=lambda aid: aid.order):
         f.propagate(samples, samples.first_after(f.t_ns), aid.t_ns)
         step = steps.take(bank, aid, kept, state, alone=True)
