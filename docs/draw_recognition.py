@@ -5,8 +5,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from estimator.bench.recognition import TITLES
-from estimator.bench.views import EXPERIMENTS, ROOFS, Sample, draw
+from benchmarks.recognition.experiments import TITLES
+from benchmarks.recognition.views import EXPERIMENTS, ROOFS, Sample, draw
 from vision.image.rectify import Image
 
 OUT = Path(__file__).parent / "images" / "recognition_samples.jpg"

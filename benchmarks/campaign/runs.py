@@ -11,10 +11,10 @@ from collections import Counter
 import msgspec
 import numpy as np
 
+from benchmarks.campaign.bound import linearise, posterior_bound
 from benchmarks.campaign.flights import Flight
 from estimator.fusion import Fusion, FusionConfig
 from models.messages import AidStatus, Array, Estimate, GnssFix, GnssVelocity, Input, PoseFix, Reason
-from models.sim.bound import linearise, posterior_bound
 from models.sim.scenario import EPOCH_NS, Simulation, simulate
 from models.state import E, NavState, local
 

@@ -1,5 +1,4 @@
 """landfix doctor."""
-# ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
 
 from itertools import groupby
 from pathlib import Path

@@ -1,12 +1,11 @@
 """landfix evidence."""
-# ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from estimator.commands.common.console import Jobs, Scheduler, note
+from estimator.commands.common.console import Jobs, Scheduler
 
 
 def command(
@@ -25,13 +24,6 @@ def command(
       landfix evidence -o evidence --hours 1
       landfix evidence -o evidence --hours 1000 --scheduler tcp://10.0.0.5:8786
     """
-    from importlib import import_module
+    from estimator.commands.common.clone import of_clone
 
-    try:
-        pack = import_module("benchmarks.evidence.pack")
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] != "benchmarks":
-            raise
-        note("landfix: evidence needs a clone of the repository: its benchmarks and tests are not part of the package")
-        raise typer.Exit(1) from None
-    typer.echo(f"written: {pack.write(out, hours, jobs, scheduler)}")
+    typer.echo(f"written: {of_clone('evidence.pack', 'evidence').write(out, hours, jobs, scheduler)}")

@@ -1,4 +1,4 @@
-"""Simulation, Cramer-Rao bound.
+"""Simulation.
 
 May import models.
 """

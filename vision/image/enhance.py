@@ -32,22 +32,6 @@ def stretch(image: Image, clip: float = 0.01, margin: float = 0.0) -> NDArray[np
     return _look_up(image, np.clip((levels - c) * (255.0 / (d - c)), 0.0, 255.0), np.uint8)
 
 
-def stretch_blocks(image: Image, blocks: int = 4, clip: float = 0.01, min_range: float = 0.1) -> NDArray[np.uint8]:
-    """Stretch in blocks x blocks pieces, c and d interpolated (thesis section 4.2.1.4)."""
-    height, width = image.shape[:2]
-    least = min_range * max(np.subtract(*limits(image, clip)[::-1]), 1.0)
-    c, d = np.empty((blocks, blocks), np.float32), np.empty((blocks, blocks), np.float32)
-    for i, rows in enumerate(np.array_split(np.arange(height), blocks)):
-        for j, columns in enumerate(np.array_split(np.arange(width), blocks)):
-            low, high = limits(image[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1], clip)
-            middle, half = 0.5 * (low + high), 0.5 * max(high - low, least)
-            c[i, j], d[i, j] = middle - half, middle + half
-    c, d = (_spread(x, width, height) for x in (c, d))
-    if image.ndim == 3:
-        c, d = c[..., None], d[..., None]
-    return np.clip((image - c) * (255.0 / (d - c)), 0, 255).round().astype(np.uint8)
-
-
 def unveil(image: NDArray[np.uint8], least: float = 0.72) -> NDArray[np.uint8]:
     """r - dark in each channel, (H, W, 3): haze removal (Chavez 1988).
 
@@ -59,31 +43,6 @@ def unveil(image: NDArray[np.uint8], least: float = 0.72) -> NDArray[np.uint8]:
     return np.asarray(cv2.subtract(image, np.append(0.9 * dark, 0.0)), dtype=np.uint8)
 
 
-def gamma(image: Image, exponent: float) -> Image:
-    """s = c r^gamma, c = full^(1 - gamma) (thesis eq. 4.59)."""
-    full = np.iinfo(image.dtype).max
-    return _look_up(image, full * (np.arange(full + 1) / full) ** exponent, image.dtype)
-
-
-def logarithm(image: Image) -> Image:
-    """s = c log(1 + r), c = full / log(1 + full) (thesis eq. 4.58)."""
-    full = np.iinfo(image.dtype).max
-    return _look_up(image, full * np.log1p(np.arange(full + 1)) / np.log1p(full), image.dtype)
-
-
-def negative(image: Image) -> Image:
-    """s = L - 1 - r (thesis eq. 4.57)."""
-    return np.invert(image)
-
-
 def _look_up(image: Image, levels: NDArray[Any], dtype: DTypeLike) -> NDArray[Any]:
     table = np.rint(levels).astype(dtype)
     return np.asarray(cv2.LUT(np.asarray(image, dtype=np.uint8), table)) if image.dtype == np.uint8 else table[image]
-
-
-def _spread(blocks: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
-    rows, columns = blocks.shape
-    u = ((np.arange(width) + 0.5) * columns / width - 0.5).astype(np.float32)
-    v = ((np.arange(height) + 0.5) * rows / height - 0.5).astype(np.float32)
-    grid_u, grid_v = np.meshgrid(u, v)
-    return np.asarray(cv2.remap(blocks, grid_u, grid_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), dtype=np.float32)

@@ -233,7 +233,7 @@ def _dependence(
 ) -> None:  # fmt: skip
     """Fill A (E, K, 2, 6 + P) of one image by pose, and errors of map and rig in sigmas.
 
-    rows (N, 18 + M), own (N, 4 + n): Derivatives; gain (N, 2): points to lines; map_column (L M,): columns of map errors, -1:
+    rows (N, 18 + M), own (N, 4 + n): as of `derived`; gain (N, 2): points to lines; map_column (L M,): columns of map errors, -1:
     exact; then camera on body, right against left, left and right camera.
     """
     by_line, by_own = compress(gain, rows, edge, len(A)), compress(gain, own, edge, len(A))

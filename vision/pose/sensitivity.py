@@ -319,52 +319,12 @@ def _gaps(
     return gaps
 
 
-@dataclass(frozen=True, slots=True)
-class Derivatives:
-    """n . du of samples: rows (N, 18 + M); own (N, 4 + n): camera parameters."""
-
-    rows: Array
-    own: Array
-
-    @property
-    def pose(self) -> Array:
-        """By dp_n and dtheta_n (N, 6)."""
-        return self.rows[:, :6]
-
-    @property
-    def bc(self) -> Array:
-        """Columns of covariance_bc (N, 6)."""
-        return self.rows[:, 6:12]
-
-    @property
-    def rc(self) -> Array:
-        """Columns of covariance_rc (N, 6)."""
-        return self.rows[:, 12:MAPPED_FROM]
-
-    @property
-    def mapped(self) -> Array:
-        """By their landmark's MapError (N, M)."""
-        return self.rows[:, MAPPED_FROM:]
-
-
-def derivatives(
-    edges: ModelEdges, samples: Samples, seen: EdgeView, eye: Eye, rig: Mount, p_n: Array, R_nb: Array, *,
-    with_own: bool = True,
-) -> Derivatives:  # fmt: skip
-    """Derivatives of samples along their normals; own is empty (N, 0) unless wanted."""
-    own = 4 + len(eye.camera.distortion) if with_own else 0
-    return Derivatives(*derived(
-        seen.row_c, seen.x_c, seen.normal, samples.points_n, samples.t, samples.edge, edges.map_start, edges.map_end,
-        *eye.stand(p_n, R_nb), eye.camera.parameters, own, rig.p_bc, rig.t_rc, eye.right,
-    ))  # fmt: skip
-
-
 @njit(cache=True)
 def derived(
     row_c: Array, x_c: Array, normal: Array, points: Array, t: Array, edge: Indices, map_start: Array, map_end: Array, p_n: Array,
     R_nb: Array, p_bk: Array, R_kb: Array, camera: Array, own: int, p_bc: Array, t_rc: Array, right: bool,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """The fields of Derivatives, by `own` of the camera's parameters."""
+    """n . du of samples: (N, 18 + M) by p_n, theta_n, covariance_bc, covariance_rc, MapError; (N, own) by the camera's own."""
     _, R_nk = _placed(p_n, R_nb, p_bk, R_kb)
     lever_b, R_bk = np.empty(3), np.empty((3, 3))
     for i in range(3):

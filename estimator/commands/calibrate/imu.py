@@ -1,5 +1,4 @@
 """landfix calibrate imu, camera-imu."""
-# ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
 
 from collections.abc import Callable
 from pathlib import Path

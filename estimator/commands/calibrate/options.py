@@ -1,5 +1,4 @@
 """Shared by the calibrate commands."""
-# ruff: noqa: PLC0415  (imported where needed, so that --help is fast)
 
 from collections.abc import Sequence
 from enum import StrEnum

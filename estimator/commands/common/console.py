@@ -1,5 +1,4 @@
 """Results on stdout, progress and remarks on stderr."""
-# ruff: noqa: PLC0415  (imported where needed, so that --help is fast)
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager

@@ -1,5 +1,4 @@
 """Images of files, folders, videos, logs, cameras."""
-# ruff: noqa: PLC0415  (imported where needed, so that --help is fast)
 
 import re
 import time

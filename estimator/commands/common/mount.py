@@ -1,5 +1,4 @@
 """--mount: where a camera sits on the body."""
-# ruff: noqa: PLC0415  (imported where needed, so that --help is fast)
 
 from typing import TYPE_CHECKING, Annotated
 

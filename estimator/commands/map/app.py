@@ -1,5 +1,4 @@
 """landfix map build, get, learn, show, check."""
-# ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated

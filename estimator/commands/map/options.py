@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 def colours(pick: str) -> "tuple[Colour, ...]":
     """The colours of --pick. Raises a usage error."""
-    from models.maps.colours import parse  # noqa: PLC0415  (so that --help is fast)
+    from models.maps.colours import parse
 
     found = [(word, parse(word)) for word in pick.split(",") if word.strip()]
     for word, colour in found:

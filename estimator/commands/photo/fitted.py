@@ -2,7 +2,6 @@
 
 EXIF orientation: 1 as stored; 6, 3, 8 turned by 1, 2, 3 quarters clockwise; others mirrored.
 """
-# ruff: noqa: PLC0415  (imported where needed, so that --help is fast)
 
 import warnings
 from pathlib import Path

@@ -6,7 +6,6 @@
 
 Output: R_nb = Rz(yaw) Ry(pitch) Rx(roll); straight down is pitch -90, the photo's upper edge towards `yaw`.
 """
-# ruff: noqa: PLC0415  (imported where needed, so that --help is fast)
 
 import math
 import re

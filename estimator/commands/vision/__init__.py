@@ -1,4 +1,4 @@
 """Commands on images.
 
-May import estimator.commands.common, estimator.bench, estimator.tools, vision and calib.
+May import estimator.commands.common, estimator.tools, vision and calib.
 """

@@ -1,5 +1,4 @@
 """landfix locate."""
-# ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
 
 import math
 from pathlib import Path

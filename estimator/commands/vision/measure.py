@@ -1,5 +1,4 @@
 """landfix measure."""
-# ruff: noqa: D301, PLC0415  (\b keeps line breaks in help; imported where needed, so that --help is fast)
 
 import colorsys
 import math

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimator.bench.recognisers import fused
+from benchmarks.recognition.recognisers import fused
 from estimator.replay import flight_images
 from logs.wire.images import decode_image
 from logs.wire.schemas import COMPRESSED_IMAGE, IMAGE

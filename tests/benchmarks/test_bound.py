@@ -3,12 +3,12 @@ import math
 import numpy as np
 import pytest
 
+from benchmarks.campaign.bound import Linear, linearise, posterior_bound
 from models import so3
 from models.frames import GRAVITY, Origin
 from models.imu import ImuNoise
 from models.messages import Array, GnssFix, GnssVelocity, Input, PoseFix, Tick
 from models.sim.aids import Gnss, PoseFixes
-from models.sim.bound import Linear, linearise, posterior_bound
 from models.sim.scenario import EPOCH_NS, Scenario, Truth, simulate
 from models.sim.sensors import GRADES, Imu
 from models.sim.trajectory import FixedWing, Multirotor

@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.bench.views import Reference, Sample
+from benchmarks.recognition.views import Reference, Sample
 from models import so3
 from models.maps.landmarks import Landmark
 from models.messages import Array, LandmarkFix

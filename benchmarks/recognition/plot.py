@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from estimator.bench.recognisers import METHODS
-from estimator.bench.recognition import TITLES, Recognition, Row
+from benchmarks.recognition.experiments import TITLES, Recognition, Row
+from benchmarks.recognition.recognisers import METHODS
 from logs.evaluation.plots import BLUE, ORANGE, SKY, VERMILLION
 from models.messages import Array
 

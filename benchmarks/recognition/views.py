@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.bench.partly_seen import cut, hide, shares, whole
+from benchmarks.recognition.partly_seen import cut, hide, shares, whole
 from models import so3
 from models.camera import CameraModel
 from models.maps import colours

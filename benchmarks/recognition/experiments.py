@@ -12,8 +12,8 @@ import msgspec
 import numpy as np
 from scipy.stats import beta
 
-from estimator.bench.recognisers import METHODS, Answer, ask, sift_points
-from estimator.bench.views import EXPERIMENTS, ROOFS, Experiment, Roof, draw
+from benchmarks.recognition.recognisers import METHODS, Answer, ask, sift_points
+from benchmarks.recognition.views import EXPERIMENTS, ROOFS, Experiment, Roof, draw
 from estimator.frontend.workers import pool
 
 TITLES: Final[dict[str, str]] = {

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from estimator.bench import recognisers, views
-from estimator.bench.partly_seen import hide, shares
-from estimator.bench.recognition import Trial, below, row
-from estimator.bench.views import EXPERIMENTS, ROOFS, Experiment, Roof, Sample
+from benchmarks.recognition import recognisers, views
+from benchmarks.recognition.experiments import Trial, below, row
+from benchmarks.recognition.partly_seen import hide, shares
+from benchmarks.recognition.views import EXPERIMENTS, ROOFS, Experiment, Roof, Sample
 from estimator.cli import app
 from models import so3
 from models.maps import colours

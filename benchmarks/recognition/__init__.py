@@ -1,0 +1,1 @@
+"""Recognition of landmarks, compared with other methods: `landfix bench recognition`."""
