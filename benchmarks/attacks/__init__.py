@@ -1,1 +1,1 @@
-"""What a hostile file, argument, configuration or message does to landfix: a table of cells, each held, degraded or failed."""
+"""What a hostile file, argument or configuration does to landfix: a table of cells, each held, degraded or failed."""

@@ -1,13 +1,10 @@
-"""Hostile files, arguments, configurations, states and messages against landfix: one row a cell.
+"""Hostile files, arguments and configurations against landfix: one row a cell.
 
     python -m benchmarks.attacks [--areas log import ...] [--count 10000] [--cases ../shared/cases] [--out FILE.jsonl] [--resume]
 
 A cell is held where the command ends by itself, within 10 s of CPU and 1 GB, with the right exit code and one line that says
-why; degraded where that is so but for the words; failed otherwise. Damaged files and spoiled messages are drawn by seed
-(damaged.py, flown.py): a row counts so many files of a format, or a quarter of 100 times as many messages. The last three areas
-are a daemon's: it starts whatever its state file is, loses at most 0.1 s of its log when it is killed, and goes on after each
-hostile message with estimates in time, within 5 m of the truth. Failed: more than 1 m and more than 5 sigma off. Degraded: more
-than 5 m off, which its sigma says; late; as much of the log lost as was underway on a busy machine.
+why; degraded where that is so but for the words; failed otherwise. Damaged files are drawn by seed (damaged.py): a row counts so
+many files of a format.
 """
 
 import argparse
@@ -17,10 +14,9 @@ import pkgutil
 import re
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 import msgspec
@@ -30,30 +26,15 @@ import estimator
 import logs
 import models
 import vision
-from benchmarks.attacks import damaged, files, flown, limited, live, typed
+from benchmarks.attacks import damaged, files, limited, typed
 from benchmarks.attacks.cell import Cell, Row
-from estimator.service.warm_up import warm_up
 from estimator.version import version
-
-
-class Live(NamedTuple):
-    """What is done to a daemon; rows: the areas of its rows."""
-
-    of: Callable[[Path], Iterator[Row]]
-    rows: tuple[str, ...]
-
 
 AREAS = {
     "log": files.logs, "import": files.importers, "map": files.maps, "image": files.images,
     "configuration": typed.configurations, "argument": typed.arguments,
 }  # fmt: skip
-DRAWN = {damaged.AREA: damaged.rows, flown.AREA: flown.rows}
-LIVE = {  # last, in this order: after messages nothing can be forked
-    "state file": Live(live.state_files, ("state file",)),
-    "kills": Live(live.kills, ("kill -9",)),
-    "messages": Live(live.messages, ("zenoh", "mavlink", "burst")),
-}
-EVERY = [*AREAS, *DRAWN, *LIVE]
+EVERY = [*AREAS, damaged.AREA]
 _RARE = re.compile(r"__main__|bench|fleet|plot|report|evidence|tune|overlay")
 _CASES = Path(os.environ.get("LANDFIX_DATA", "../shared/data")).parent / "cases"
 
@@ -77,11 +58,8 @@ def rows(
         return (area, name) not in known and (not only or any(part in name for part in only)) and has_file
 
     for area in areas:
-        if area in LIVE:
-            warm_up()  # before a daemon is forked
-            yield from LIVE[area].of(folder)
-        elif area in DRAWN:
-            yield from DRAWN[area](folder, count, wanted)
+        if area == damaged.AREA:
+            yield from damaged.rows(folder, count, wanted)
         else:
             yield from (_row(cell, folder) for cell in AREAS[area](folder, cases) if wanted(cell.area, cell.name))
 
@@ -112,9 +90,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/attacks.jsonl"), help="a line a row, as it comes")
     parser.add_argument("--resume", action="store_true", help="the files' cells in --out are kept")
     given = parser.parse_args()
-    again = {area for name in given.areas if name in LIVE for area in LIVE[name].rows}
     lines = given.out.read_bytes().splitlines() if given.resume and given.out.is_file() else []
-    done = [row for row in map(msgspec.json.Decoder(Row).decode, lines) if row.area not in again]
+    done = [*map(msgspec.json.Decoder(Row).decode, lines)]
     known = {(row.area, row.name) for row in done}
     given.out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as name, given.out.open("wb") as file:

@@ -32,20 +32,10 @@ class Ended(msgspec.Struct, frozen=True):
 
 def run(words: Sequence[str], folder: Path) -> Ended:
     """`landfix WORDS` in folder. The child is forked: what this process has imported costs it nothing."""
-    return ended(forked(words, folder, limits=True), folder)
-
-
-def forked(words: Sequence[str], folder: Path, *, limits: bool = False) -> int:
-    """The process of `landfix WORDS`, that has begun; limits: on CPU time and memory."""
     sys.stdout.flush()
     sys.stderr.flush()
     if (child := os.fork()) == 0:
-        _in_child(list(words), folder, limits=limits)
-    return child
-
-
-def ended(child: int, folder: Path) -> Ended:
-    """How it ended, once it has."""
+        _in_child(list(words), folder)
     out, err = folder / ".stdout", folder / ".stderr"
     status, usage = _waited(child)
     return Ended(
@@ -70,11 +60,10 @@ def _waited(child: int) -> tuple[int, resource.struct_rusage]:
         time.sleep(0.005)
 
 
-def _in_child(words: list[str], folder: Path, *, limits: bool) -> None:
+def _in_child(words: list[str], folder: Path) -> None:
     os.setsid()
-    if limits:
-        limit_memory()
-        limit_cpu(3 * CPU_S)
+    limit_memory()
+    limit_cpu(3 * CPU_S)
     os.chdir(folder)
     for number, path in ((0, Path(os.devnull)), (1, folder / ".stdout"), (2, folder / ".stderr")):
         os.dup2(os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC), number)

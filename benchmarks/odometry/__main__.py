@@ -1,14 +1,12 @@
 """Visual odometry alone, without a filter: drift, covariance, lost steps, false motion, time.
 
 python -m benchmarks.odometry                        everything, ten minutes of one core
-python -m benchmarks.odometry recorded faults        one table or several
-python -m benchmarks.odometry --draw DIR             the tracks of a few steps as PNG, in addition
+python -m benchmarks.odometry recorded motion        one table or several
 
 Recorded sets are searched for in LANDFIX_DATA; without them their tables are left out.
 """
 
 import argparse
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -21,8 +19,7 @@ from benchmarks.odometry import sets
 from benchmarks.odometry.score import Scored, run
 from benchmarks.tables import Table, number
 from models.messages import Array
-from vision.image.rectify import Image, rectification, rectify
-from vision.odometry.step import Step
+from vision.image.rectify import Image
 from vision.odometry.views import grey
 
 OUT = Path("out/bench_odometry")
@@ -32,12 +29,6 @@ COLUMNS = (
     "set", "steps", "lost", "step m", "length", "drift %", "deg/m", "end %", "step mm", "step deg", "NEES/3 p", "NEES/3 rot",
     "inliers", "scale", "ms",
 )  # fmt: skip
-PUBLISHED = (  # drift %, deg/m, on, source
-    ("cuVSLAM 17.0.1 stereo odometry", "0.85", "0.0023", "KITTI odometry, 11 drives", "nvidia-isaac/cuVSLAM release v17.0.1"),
-    ("OpenVINS, one camera and IMU", "1.3 (7 m) to 0.4 (35 m)", "0.09 to 0.02", "EuRoC V1_01", "rpng/open_vins eval-error.dox"),
-    ("ZED SDK, as its maker says", "2; 1.5", "-", "like KITTI, 100 m; like EuRoC medium, 80 m", "stereolabs/zed-yolo, issue 7"),
-    ("stereo VIO, 0.3 m baseline, 40-60 m high", "0.27", "-", "one flight of 800 m", "Drones 2023, 7(1), 36"),
-)  # fmt: skip
 
 
 def main() -> None:
@@ -46,7 +37,6 @@ def main() -> None:
     parser.add_argument(
         "--also", type=Path, nargs="+", default=[], help="folders of more KITTI pairs (poses.txt) and tracks (.npz)"
     )
-    parser.add_argument("--draw", type=Path, help="folder for drawings of tracks")
     args = parser.parse_args()
     if unknown := set(args.what) - set(TABLES):
         raise SystemExit(f"{', '.join(unknown)}: not a table; choose from {', '.join(TABLES)}")
@@ -57,12 +47,10 @@ def main() -> None:
     OUT.mkdir(parents=True, exist_ok=True)
     (OUT / "report.md").write_text(report)
     print(report)
-    if args.draw:
-        draw(args.draw)
 
 
 def recorded(also: tuple[Path, ...] = ()) -> list[Table]:
-    """Real images and real tracks, and the plain odometry on the same."""
+    """Real images and real tracks."""
     if not (data_folder() / "odometry").is_dir():
         return []
     handheld = sets.euroc(sets.HANDHELD, 340)
@@ -71,14 +59,8 @@ def recorded(also: tuple[Path, ...] = ()) -> list[Table]:
     sequences = [handheld.every(n) for n in (2, 4, 8)] + [sets.euroc(sets.KEY_FRAMES)]
     sequences += [sets.kitti_pairs(folder).every(n) for folder in cars for n in (1, 2)]
     sequences += [sets.kitti_tracks(path).every(3) for root in drives for path in sorted(root.glob("*.npz"))]
-    rows = []
-    for sequence in sequences:
-        rows.append(row(run(sequence, longest_s=0.8)))
-        rows.append(row(run(sequence, longest_s=0.8, plain=True), "plain"))
-    return [
-        Table("Recorded: odometry alone (/n: each n-th frame; lost steps add no drift)", COLUMNS, rows),
-        Table("Published", ("estimator", "drift %", "deg/m", "on", "source"), PUBLISHED),
-    ]
+    rows = [row(run(sequence, longest_s=0.8)) for sequence in sequences]
+    return [Table("Recorded: odometry alone (/n: each n-th frame; lost steps add no drift)", COLUMNS, rows)]
 
 
 def rendered() -> list[Table]:
@@ -92,28 +74,6 @@ def rendered() -> list[Table]:
             rows.append(row(run(drawn, height_sigma=0.02), "stereo, height +-2 %"))
             rows.append(row(run(drawn, height_sigma=0.02, one_camera=True), "one camera, height +-2 %"))
     return [Table("Rendered, straight down, 2 Hz, at most 10 m/s", COLUMNS, rows)]
-
-
-def faults() -> list[Table]:
-    """Blur and darkness on real images: steps must be lost, not wrong."""
-    if not (data_folder() / "odometry").is_dir():
-        return []
-    handheld = sets.euroc(sets.HANDHELD, 340)
-    changes: dict[str, Callable[[Image], Image]] = {
-        "blur of 15 px": _blurred,
-        "contrast x 0.1": lambda image: np.asarray(cv2.addWeighted(image, 0.1, image, 0.0, 20.0), np.uint8),
-        "brightness x 0.3, then noise of 4": _dark,
-    }
-    rows = [row(run(handheld.every(n), change=change), name) for name, change in changes.items() for n in (2, 4)]
-    reasons = Counter(r.split(":")[0] for n in (2, 4, 8) for r in run(handheld.every(n)).reasons)
-    return [
-        Table("Recorded, spoiled", COLUMNS, rows),
-        Table(
-            "Why steps of the hand-held set are lost (10, 5, 2.5 Hz)",
-            ("reason", "steps"),
-            [(r, str(n)) for r, n in reasons.items()],
-        ),
-    ]
 
 
 def motion() -> list[Table]:
@@ -157,7 +117,7 @@ def _held(left: Image, right: Image) -> Callable[[], tuple[Image, Image]]:
 
 
 TABLES: dict[str, Callable[[], list[Table]]] = {
-    "recorded": recorded, "rendered": rendered, "faults": faults, "motion": motion, "speed": speed,
+    "recorded": recorded, "rendered": rendered, "motion": motion, "speed": speed,
 }  # fmt: skip
 
 
@@ -182,47 +142,6 @@ def row(scored: Scored, note: str = "") -> tuple[str, ...]:
 def rms(e: Array) -> float:
     """Root mean square of the lengths of rows."""
     return float(np.sqrt((e**2).sum(axis=1).mean())) if len(e) else float("nan")
-
-
-def draw(folder: Path) -> None:
-    """Tracks of a few steps: green: used, red: not; from the first frame's corner to where it went."""
-    folder.mkdir(parents=True, exist_ok=True)
-    sequences = [(sets.nadir(30.0, "village", exact=True), 6), (sets.nadir(30.0, "village", exact=True, moving_m_s=1.0), 10)]
-    sequences += [(sets.nadir(120.0, "grass", exact=True), 6)]
-    if (data_folder() / "odometry").is_dir():
-        sequences += [
-            (sets.euroc(sets.HANDHELD, 340).every(8), 14),
-            (sets.kitti_pairs(data_folder() / "images" / "kitti06_0000_0050_stereo"), 20),
-        ]
-    for k, (sequence, at) in enumerate(sequences):
-        short = sequence.frames[at : at + 2]
-        cut = replace(sequence, frames=short)
-        step = run(cut).steps[0]
-        left = rectify(grey(short[0].images()[0]), rectification(sequence.rig).left)
-        cv2.imwrite(str(folder / f"{k}_{sequence.name.split(',')[0].replace(' ', '_').replace('/', '')}.png"), _drawn(left, step))
-
-
-def _drawn(image: Image, step: Step) -> Image:
-    canvas = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
-    if step.tracks is not None:
-        good = np.zeros(len(step.tracks.y0), bool) if step.inliers is None else step.inliers
-        for y0, y1, used in zip(step.tracks.y0, step.tracks.y1, good, strict=True):
-            colour = (0, 220, 0) if used else (0, 0, 255)
-            a, b = (tuple(np.rint(y[:2]).astype(int).tolist()) for y in (y0, y1))
-            cv2.line(canvas, a, b, colour, 1, cv2.LINE_AA)
-            cv2.circle(canvas, a, 2, colour, -1, cv2.LINE_AA)
-    words = step.reason or step.remark or f"{int(0 if step.inliers is None else step.inliers.sum())} of {step.points} points"
-    cv2.putText(canvas, words, (8, canvas.shape[0] - 10), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 255, 255), 1, cv2.LINE_AA)
-    return canvas
-
-
-def _blurred(image: Image) -> Image:
-    return np.asarray(cv2.blur(image, (15, 1)), np.uint8)
-
-
-def _dark(image: Image) -> Image:
-    noise = np.random.default_rng(int(image[::7, ::7].sum())).normal(0.0, 4.0, image.shape)
-    return np.clip(np.rint(0.3 * image + noise), 0.0, 255.0).astype(np.uint8)
 
 
 if __name__ == "__main__":

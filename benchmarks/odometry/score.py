@@ -1,19 +1,14 @@
 """Odometry along a sequence, and how far it drifts."""
 
 import time
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.odometry.plain import PlainOdometry
 from benchmarks.odometry.sets import Pose, Sequence
 from models import so3
 from models.messages import Array
-from vision.image.rectify import Image
 from vision.odometry.step import OdometrySettings, Prediction, Step, StereoOdometry
-
-Change = Callable[[Image], Image]
 
 _SPEED_SIGMA, _TURN_SIGMA = 0.1, np.radians(0.1)  # of the prediction: m/s, and rad a step; drawn
 
@@ -63,14 +58,12 @@ def run(
     sequence: Sequence,
     settings: OdometrySettings | None = None,
     *,
-    change: Change | None = None,
     height_sigma: float | None = None,
     one_camera: bool = False,
     longest_s: float = 10.0,
-    plain: bool = False,
 ) -> Scored:
-    """height_sigma: relative, of a height that is given (drawn); longest_s: of a step; plain: OpenCV alone."""
-    odometry: Any = PlainOdometry(sequence.rig) if plain else StereoOdometry(sequence.rig, settings)
+    """height_sigma: relative, of a height that is given (drawn); longest_s: of a step."""
+    odometry = StereoOdometry(sequence.rig, settings)
     rng = np.random.default_rng(11)
     truth = [f.pose for f in sequence.frames]
     path, errors, lengths, nees, steps, reasons = [truth[0]], [], [], [], [], []
@@ -81,7 +74,7 @@ def run(
     for k, frame in enumerate(sequence.frames):
         current = None
         if sequence.tracks is None:
-            left, right = frame.images() if change is None else tuple(change(image) for image in frame.images())
+            left, right = frame.images()
             started = time.process_time()
             current = odometry.frame(left, None if one_camera else right)
             frame_ms.append(1e3 * (time.process_time() - started))

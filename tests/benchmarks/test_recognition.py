@@ -224,18 +224,15 @@ def test_a_row_counts_verdicts() -> None:
     assert counted.wrong_below == pytest.approx(0.7514, abs=1e-3)
 
 
-def test_the_command(tmp_path: Path) -> None:
+def test_the_command() -> None:
     options = ["--samples", "1", "--experiment", "accuracy", "--roof", "painted", "--pairs", "3", "--jobs", "1"]
-    result = CliRunner().invoke(app, ["bench", "recognition", *options, "--json", "--plot", str(tmp_path / "plot.png")])
+    result = CliRunner().invoke(app, ["bench", "recognition", *options, "--json"])
     assert result.exit_code == 0, result.stderr
     found = json.loads(result.stdout)
     assert [r["method"] for r in found["rows"]] == list(recognisers.METHODS)
     assert found["key_points_least"] >= 500
     assert [len(r["by_pair"]) for r in found["rows"]] == [found["pairs"]] * 4 == [3] * 4
     assert all(r["by_pair"][-1] == r["recognised"] for r in found["rows"])
-    drawn = cv2.imread(str(tmp_path / "plot.png"))
-    assert drawn is not None
-    assert drawn.shape[1] > 800
 
 
 @pytest.mark.long

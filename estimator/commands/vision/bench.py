@@ -1,6 +1,5 @@
 """landfix bench recognition."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -31,7 +30,6 @@ def recognition(
         int, typer.Option(min=1, max=100, help="Largest number of pairs, half a second apart, for a method without an answer.")
     ] = 3,
     jobs: Annotated[int, typer.Option(min=0, help="Processes; 0: one a core.")] = 0,
-    plot: Annotated[Path | None, typer.Option("--plot", metavar="FILE.png", help="Plot of the table.")] = None,
     json: Json = False,
 ) -> None:
     """Recognise landmarks in rendered stereo pairs: four experiments.
@@ -45,14 +43,12 @@ def recognition(
     Examples:
       landfix bench recognition
       landfix bench recognition --samples 20 --experiment partial --roof pale
-      landfix bench recognition --samples 1000 --seed 1 --plot recognition.png --json
+      landfix bench recognition --samples 1000 --seed 1 --json
     """
     views, experiment = (of_clone(f"recognition.{name}", "bench") for name in ("views", "experiments"))
     chosen, kinds = _chosen(experiments, views.EXPERIMENTS, "--experiment"), _chosen(roofs, views.ROOFS, "--roof")
     with progress("recognition") as report:
         result = experiment.run(samples, seed, pairs, chosen, kinds, jobs, report)
-    if plot is not None:
-        of_clone("recognition.plot", "bench").draw(result).savefig(plot)
     if json:
         print_json(result)
     else:

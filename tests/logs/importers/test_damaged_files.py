@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.attacks import seeds
-from benchmarks.causes.files import FILE_FAULTS, said_of
+from tests.logs.importers.file_faults import FILE_FAULTS, said_of
 
 
 @pytest.mark.parametrize("name", FILE_FAULTS)
