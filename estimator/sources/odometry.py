@@ -34,6 +34,7 @@ _MOST_ERRORS = 6  # that stay with a rig
 _LARGEST_ERROR = 100.0  # m or rad
 _FALSE_M, _FALSE_RAD = 1.0, 0.1  # half widths of the box in which a false increment is expected
 _SCALE_HOLDS_S, _DRIFTS_S, FADES_S = 600.0, 120.0, 10.0
+WRONG_SCALE = 0.3  # 1 sigma of a scale that positions have refuted
 DRIFT, DRIFT_M_S = ".drift", 0.01  # of any odometry, and nothing shows it
 _USUAL = 3.0  # ratio of the sigmas of two increments of one scene
 _NOTHING = 1e-14  # m^2, rad^2: keeps a covariance positive definite
@@ -253,7 +254,7 @@ def _scale(topic: str, dp: Array, config: OdometryConfig) -> tuple[SlowError, ..
         return ()
     variance = np.array([[config.scale_sigma**2]])
     jacobian = np.concatenate((dp, np.zeros(_XYZ)))[:, None]
-    return (SlowError(f"{topic}.scale", variance, math.inf, jacobian, variance[0] / _SCALE_HOLDS_S, starts_at_zero=True),)
+    return (SlowError(scale_block(topic), variance, math.inf, jacobian, variance[0] / _SCALE_HOLDS_S, starts_at_zero=True),)
 
 
 def _rig_errors(delta: OdometryDelta, config: OdometryConfig) -> tuple[SlowError, ...] | Refusal:
@@ -264,7 +265,7 @@ def _rig_errors(delta: OdometryDelta, config: OdometryConfig) -> tuple[SlowError
     if not fits or not (np.abs(moved) < _LARGEST_ERROR).all():
         return Refusal(Reason.MALFORMED, "systematic errors")
     one = np.eye(moved.shape[1])
-    return (SlowError(f"{delta.topic}.scale", one, math.inf, moved, one.diagonal() / _SCALE_HOLDS_S, starts_at_zero=True),)
+    return (SlowError(f"{delta.topic}.rig", one, math.inf, moved, one.diagonal() / _SCALE_HOLDS_S, starts_at_zero=True),)
 
 
 def widened(
@@ -324,9 +325,14 @@ def drift_block(topic: str) -> str:
     return f"{topic}{DRIFT}"
 
 
-def slow_blocks(topic: str) -> tuple[str, str, str]:
+def scale_block(topic: str) -> str:
+    """Name of the block of s."""
+    return f"{topic}.scale"
+
+
+def slow_blocks(topic: str) -> tuple[str, ...]:
     """Error blocks constant within an epoch."""
-    return f"{topic}.lasting", f"{topic}.scale", drift_block(topic)
+    return f"{topic}.lasting", scale_block(topic), f"{topic}.rig", drift_block(topic)
 
 
 def jumped(kept: Kept, t_ns: int, pose: Array) -> tuple[float, Array | None]:
@@ -341,9 +347,14 @@ def jumped(kept: Kept, t_ns: int, pose: Array) -> tuple[float, Array | None]:
 
 
 def arrived(state: SourceState, rules: Rules, t_ns: int, *, alone: bool) -> SourceState:
-    """An increment arrives."""
-    spread_m = spread_at(state, t_ns)
-    return replace(state.arrive(rules, t_ns, alone=alone), spread_m=spread_m, noise=state.noise)
+    """An increment arrives; how many a refuted odometry has to agree with follows from how often they come."""
+    spread_m, spacing_s = spread_at(state, t_ns), min((t_ns - state.last_ns) * 1e-9, rules.timeout_s)
+    return replace(state.arrive(replace(rules, spacing_s=spacing_s), t_ns, alone=alone), spread_m=spread_m, noise=state.noise)
+
+
+def may_be_scale(state: SourceState, *, alone: bool) -> bool:
+    """For the first time positions refute it, or its translations are no noise, but its rotations are: the scale may be wrong."""
+    return not alone and (state.is_refuted or not state.noise.is_noise) and state.noise.may_be_scale
 
 
 def is_disputed(state: SourceState) -> bool:

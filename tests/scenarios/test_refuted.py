@@ -11,7 +11,7 @@ from estimator.fusion import Fusion, FusionConfig
 from estimator.sources.beacon import BeaconConfig
 from estimator.sources.rest import RestConfig
 from models import so3
-from models.messages import Array, AttitudePrior, GnssFix, ImuSample, Input, Reading, Reason
+from models.messages import Array, AttitudePrior, GnssFix, ImuSample, Input, Reading, Reason, vec3
 from models.sim.beacons import Beacons, measure_ranges
 from models.sim.scenario import EPOCH_NS, Simulation
 from models.sim.sensors import GRADES, Imu
@@ -189,6 +189,17 @@ def test_given_an_odometry_that_drifts_then_fixes_refute_it(lit: Simulation) -> 
     rms_m, wrong_m, inside = _flown(lit, _drifting(lit))
     assert rms_m < 1.5 * without_m
     assert wrong_m < dark_m + 1.0
+    assert inside > 0.9
+
+
+@pytest.mark.parametrize("scale", [0.5, 0.7, 1.5])
+def test_given_an_odometry_whose_scale_is_wrong_then_fixes_teach_it(scale: float) -> None:
+    """Left out, it gave the IMU's errors with hobby sensors."""
+    flight = simulated(FIXES.replace("rate_hz = 50.0", 'grade = "hobby"\nrate_hz = 50.0'))
+    scaled = [replace(o, p_o=vec3(scale * np.array(o.p_o))) for o in poses(flight, 5.0, 59.9)]
+    without_m, dark_m, _ = _flown(flight, [])
+    rms_m, with_m, inside = _flown(flight, [*scaled])
+    assert (rms_m, with_m) < (0.8 * without_m, dark_m)
     assert inside > 0.9
 
 

@@ -15,6 +15,7 @@ from estimator.filter.hypotheses import SENSORS, Hypotheses, clone_of, innovatio
 from estimator.filter.relative import drift
 from estimator.sources import odometry
 from estimator.sources.base.gating import gate
+from estimator.sources.base.learnt_noise import LearntNoise
 from estimator.sources.base.machine import Phase, SourceState
 from estimator.sources.odometry import Begins, Increment, Kept, Lost, OdometryAid, Posed
 from models import so3
@@ -96,6 +97,8 @@ def _judge(bank: Hypotheses, aid: OdometryAid, end: Increment, kept: Kept, state
     z, block, velocity = end.z, clone_of(aid.topic), odometry.drift_block(aid.topic)
     if block not in bank.lead.clones:
         return Step(Reason.THINNED, _LOST, kept._replace(name=b""), state)
+    if odometry.may_be_scale(state, alone=alone) and _open_scale(bank, aid.topic):
+        state = replace(state, phase=Phase.ACTIVE, passed=0, is_refuted=False, noise=LearntNoise(is_renewed=True))
     state = odometry.arrived(state, aid.rules, aid.t_ns, alone=alone)
     if end.reported is not None:
         aid, z, spread_m = odometry.widened(aid, z, end.reported, state.spread_m)
@@ -136,6 +139,16 @@ def _judge(bank: Hypotheses, aid: OdometryAid, end: Increment, kept: Kept, state
     said = _DISPUTED.format(sigma_m_s) if sigma_m_s > drift.WORTH_SAYING_M_S else ""
     said = said if state.noise.is_noise else odometry.WRONG
     return Step(reason, said, kept._replace(name=b""), state if not fused else replace(state, fused_ns=aid.t_ns), first, limit)
+
+
+def _open_scale(bank: Hypotheses, topic: str) -> bool:
+    """P_ss <- P_ss + 0.3^2 in every filter; whether the leading one has a scale."""
+    block = odometry.scale_block(topic)
+    for member in bank.members:
+        if block in member.filter.slow.columns:
+            at = member.filter.slow.columns[block]
+            member.filter.cov[at, at] += odometry.WRONG_SCALE**2 / member.filter.variance_factor
+    return block in bank.lead.slow.columns
 
 
 def _off(seen: Innovation) -> Array:

@@ -28,12 +28,13 @@ _XYZ = 3
 class LearntNoise(NamedTuple):
     """a and b of translation and rotation; changed: C (3, 3), by how much late increments have changed the velocity.
 
-    C <- exp(-2 dt / 2 s) C + K S K^T
+    C <- exp(-2 dt / 2 s) C + K S K^T;   is_renewed: learnt anew since the scale was opened.
     """
 
     a: tuple[float, float] = (_A0, _A0)
     b: tuple[float, float] = (_B0, _B0)
     changed: Array = np.zeros((_XYZ, _XYZ))
+    is_renewed: bool = False
 
     @property
     def factors(self) -> tuple[float, float]:
@@ -44,6 +45,11 @@ class LearntNoise(NamedTuple):
     def is_noise(self) -> bool:
         """Beyond, increments are wrong and not noisy."""
         return all(f < most for f, most in zip(self.factors, _MOST, strict=True))
+
+    @property
+    def may_be_scale(self) -> bool:
+        """Rotations are noise, and the scale was not opened before."""
+        return not self.is_renewed and self.factors[1] < _MOST[0]
 
     @property
     def roots(self) -> Array:

@@ -9,7 +9,8 @@ import pytest
 from estimator.sources import odometry
 from estimator.sources.aids import SourcesConfig, aid_of
 from estimator.sources.base.aid import Refusal
-from estimator.sources.base.machine import SourceState
+from estimator.sources.base.learnt_noise import LearntNoise
+from estimator.sources.base.machine import Phase, SourceState
 from estimator.sources.base.rules import RULES
 from estimator.sources.odometry import Increment, Kept, OdometryAid, OdometryConfig, Posed
 from models.messages import OdometryDelta, OdometryPose, Reason
@@ -217,3 +218,23 @@ def test_a_drift_is_one_of_the_velocity_in_n() -> None:
     *_, drift = odometry.drifting(aid, np.array([0.0, 0, 0, np.sqrt(0.5), 0, 0, np.sqrt(0.5)]), 0.5).slow_errors
     assert drift.block == f"{aid.topic}.drift"
     np.testing.assert_allclose(np.asarray(drift.jacobian) @ north, [0.0, -0.5, 0, 0, 0, 0], atol=1e-12)
+
+
+def test_given_a_refuted_odometry_then_it_is_used_again_after_ten_seconds_of_increments_that_pass() -> None:
+    state = SourceState(last_ns=0, silent_ns=SECOND).refuted(0)
+    active = []
+    for k in range(1, 40):
+        state = odometry.arrived(state, _RULES, k * SECOND // 2, alone=False)
+        state, _ = odometry.judged(state, alone=False, passed=True, off=np.zeros(3))
+        active.append(state.phase is Phase.ACTIVE)
+    assert active.index(True) == 20
+
+
+def test_given_translations_that_are_no_noise_then_the_scale_may_be_wrong_once_unless_rotations_are_none_either() -> None:
+    wrong, turned = LearntNoise(b=(100.0, 1.0)), LearntNoise(b=(100.0, 100.0))
+    assert odometry.may_be_scale(SourceState(noise=wrong), alone=False)
+    assert not odometry.may_be_scale(SourceState(noise=wrong), alone=True)
+    assert not odometry.may_be_scale(SourceState(noise=wrong._replace(is_renewed=True)), alone=False)
+    assert not odometry.may_be_scale(SourceState(noise=turned), alone=False)
+    assert not odometry.may_be_scale(SourceState(), alone=False)
+    assert odometry.may_be_scale(SourceState().refuted(0), alone=False)
