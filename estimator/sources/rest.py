@@ -33,7 +33,7 @@ EVERY_NS: Final = 1_000_000_000
 AFTER_NS: Final = 3_000_000_000  # of rest, before the first update
 _GYRO, _ACCEL = 0.01, 0.1  # rad/s, m/s^2: deviation over a second below which it may be at rest
 _KNOWN_M_S = 0.2  # sigma of the estimated velocity above which nothing confirms a rest
-_RATE_SIGMA = 3e-4  # rad/s: of a vehicle at rest, mean of a second
+_RATE_SIGMA = 3e-4  # rad/s: of a vehicle at rest, mean of a second, beside the noise of its samples
 
 
 class RestConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
@@ -87,9 +87,10 @@ def is_quiet(u: Array) -> bool:
 
 
 def at_rest(u: Array, azimuth: float, earth_n: Array, config: RestConfig) -> Rest:
-    """The measurement in samples u (k, 6)."""
-    sigmas = [math.radians(config.heading_sigma_deg)] + [config.velocity_sigma_m_s] * 3 + [_RATE_SIGMA] * 3
-    return Rest(azimuth, u[:, :3].mean(axis=0), earth_n, np.diag(np.square(sigmas)))
+    """The measurement in samples u (k, 6): of the rate, sigma^2 = 3e-4^2 + s^2 / k, s^2 the variance of the samples."""
+    given = [math.radians(config.heading_sigma_deg)] + [config.velocity_sigma_m_s] * 3
+    rate = _RATE_SIGMA**2 + u[:, :3].var(axis=0) / len(u)
+    return Rest(azimuth, u[:, :3].mean(axis=0), earth_n, np.diag(np.r_[np.square(given), rate]))
 
 
 def objection(x: Array, cov: Array, config: RestConfig) -> str:

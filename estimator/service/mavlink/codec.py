@@ -209,7 +209,7 @@ def global_position(e: Estimate, at: Place, time_usec: int, slot: int, system: i
 
 
 def set_origin(at: Place, system: int) -> Any:
-    """SET_GPS_GLOBAL_ORIGIN. ArduPilot takes it if it has none; its barometer's zero is there."""
+    """SET_GPS_GLOBAL_ORIGIN. ArduPilot takes it if it has none; the barometer's zero is there."""
     return mavlink.MAVLink_set_gps_global_origin_message(system, *_degrees_e7(at), round(1e3 * at.sea_m))
 
 

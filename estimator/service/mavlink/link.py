@@ -28,6 +28,7 @@ from models.state import X
 
 _HEARTBEAT_NS: Final = SECOND_NS
 _NO_ORIGIN_NS: Final = 5 * SECOND_NS  # without an answer: PX4 has none
+_SETTLED_NS: Final = 3 * SECOND_NS  # of usable odometry: EKF2 has it, and keeps it where it is given an origin
 _TIMESYNC_NS: Final = SECOND_NS // 4
 _GONE_NS: Final = 3 * SECOND_NS  # without a HEARTBEAT
 _IMPLAUSIBLE_NS: Final = 2 * SECOND_NS  # a stamp further from now than this is of no known clock
@@ -89,6 +90,7 @@ class MavlinkLink:
         self._is_boat = False
         self._heartbeat_ns = self._peer_ns = -SECOND_NS * 3600
         self._next_heartbeat_ns = self._next_timesync_ns = self._since_ns = 0
+        self._given_ns, self._usable_since_ns = -_NO_ORIGIN_NS, 0  # an origin was given; of odometry
         self._sending, self._stopping = threading.Lock(), False
         self.sent_odometry = self.sent_fixes = self.unsent = self.strangers = self.commands_refused = self.defects = 0
         self.refused = self.out_of_range = self.impossible_dates = self.implausible_companions = 0
@@ -170,17 +172,26 @@ class MavlinkLink:
         ours = vec3(estimate.nav[X.P]), so3.normalise(estimate.nav[X.Q])
         pose = self._local.pose(estimate, self._geoid_m, is_px4=not is_ardupilot)
         has_none = self._local.place is None and self._clock.now_ns() - self._since_ns > _NO_ORIGIN_NS
-        if not is_ardupilot and has_none:
-            pose = ours  # PX4 without a place on Earth, indoors: its local frame is where odometry has it
-        elif has_none and (origin := Origin.of(estimate.origin)) is not None and self._policy.starts_without_gnss:
-            self._since_ns = self._clock.now_ns()
-            here = codec.place(origin.to_geodetic(estimate.nav[X.P]), self._geoid_m)
-            self._tell(codec.set_origin(here, self._config.system))
+        if has_none:
+            self._give_origin(estimate, is_ardupilot=is_ardupilot)
+            pose = None if is_ardupilot else ours  # PX4's local frame is where odometry has it
         quality, usable = self._policy.quality(estimate, one_source_at_a_time=is_ardupilot) if pose else (-1, False)
         self._announce(estimate, quality, usable=usable, knows_frame=pose is not None)
         (p, q), self._quality = pose or ours, quality
+        self._usable_since_ns = (self._usable_since_ns or estimate.t_ns) if usable else 0
         counter = self._policy.reset_counter(estimate, p, usable=usable)
         return codec.odometry(estimate, (p if usable or quality < 0 else None, q), time_usec, counter, quality, autopilot)
+
+    def _give_origin(self, estimate: Estimate, *, is_ardupilot: bool) -> None:
+        """Once in 5 s: its place to ArduPilot; to PX4, whose frame is ours by now, our origin at its height, its barometer's."""
+        origin, now_ns = Origin.of(estimate.origin), self._clock.now_ns()
+        settled = is_ardupilot or 0 < self._usable_since_ns <= estimate.t_ns - _SETTLED_NS
+        if origin is None or not settled or not self._policy.starts_without_gnss or now_ns - self._given_ns <= _NO_ORIGIN_NS:
+            return
+        self._given_ns = now_ns
+        here = origin.to_geodetic(estimate.nav[X.P])
+        at = here if is_ardupilot else (origin.lat_deg, origin.lon_deg, here[2])
+        self._tell(codec.set_origin(codec.place(at, self._geoid_m), self._config.system))
 
     def _tell_alert(self) -> None:
         now = self._policy.integrity

@@ -314,6 +314,26 @@ def test_an_ardupilot_without_an_origin_is_given_its_place_where_no_gnss_of_its_
         assert autopilot.of("ODOMETRY")[-1].quality == -1
 
 
+@pytest.mark.parametrize("own", [False, True], ids=["without-gnss", "with-its-gnss"])
+def test_a_px4_without_an_origin_is_given_ours_at_its_height_once_it_has_our_odometry(own: bool) -> None:
+    """Without one it has no global position: "Resolve system health failures first", and a take-off that stays on the ground."""
+    with _px4() as (link, _, clock, autopilot):
+        autopilot.origin, link._local = None, LocalOrigin()
+        link._since_ns -= 6 * SECOND
+        t_ns = clock.now_ns()
+        for k in range(5):
+            link.send(
+                [*([_fused(t_ns, "gnss_position")] if own else []), _fused(t_ns + k * SECOND), _estimate(t_ns + k * SECOND)], []
+            )
+            autopilot.until(lambda k=k: len(autopilot.of("ODOMETRY")) == k + 1, "odometry")
+            autopilot.listen(0.02)
+            given = [(m.latitude, m.longitude, m.altitude) for m in autopilot.of("SET_GPS_GLOBAL_ORIGIN")]
+            height_m = ORIGIN.to_geodetic((10.0, 20.0, -30.0))[2] - 47.5
+            ours = [(round(ORIGIN.lat_deg * 1e7), round(ORIGIN.lon_deg * 1e7), round(1e3 * height_m))]
+            assert given == (ours if k >= 3 and not own else [])
+        assert [autopilot.of("ODOMETRY")[-1].x, autopilot.of("ODOMETRY")[-1].z] == [10.0, -30.0]
+
+
 def test_a_change_of_integrity_is_said_once_and_ends_the_use_of_the_odometry() -> None:
     with _px4() as (link, _, clock, autopilot):
         for k, state in enumerate([Alert.USABLE, Alert.DO_NOT_USE, Alert.DO_NOT_USE, Alert.USABLE]):
