@@ -21,10 +21,10 @@ from models.messages import LandmarkFix, Vec3
 
 _TOPIC: Final = "/landfix/fix"
 _NAME: Final = "typed"  # of the one error, among those of landmarks
-_STILL_M, _STILL_RAD = 0.05, math.radians(0.5)  # sigma, by which a vehicle that stands moves between two fixes
+_STILL_M, _STILL_RAD = 0.02, math.radians(0.5)  # sigma, by which a vehicle that stands moves between two fixes
 _TILT_RAD: Final = math.radians(10.0)  # of the ground that it stands on
 _NOT_GIVEN: Final = 1e6
-EVERY_S: Final = 0.5
+EVERY_S: Final = 0.2  # so that the velocity is known to 0.2 m/s, or nothing confirms a rest, with the IMU of a toy as well
 LEAST_S: Final = 6.0  # of 3 s of rest, an update each second, and the start
 _WAITING: Final = frozenset({"starting", "aligning", "aligning_heading"})
 

@@ -26,8 +26,12 @@ _NAMES: Final = {
         *_RECEIVERS,
         *("GPS_AUTO_SWITCH", "INS_GYRO_FILTER", "INS_ACCEL_FILTER"),
     ),
-    codec.PX4: ("EKF2_EV_CTRL", "EKF2_EV_QMIN", "EKF2_EV_DELAY", "EKF2_EV_NOISE_MD", "EKF2_AGP0_CTRL", "EKF2_AGP0_ID"),
+    codec.PX4: (
+        *(f"EKF2_{name}" for name in ("EV_CTRL", "EV_QMIN", "EV_DELAY", "EV_NOISE_MD", "EVA_NOISE", "AGP0_CTRL", "AGP0_ID")),
+    ),
 }
+_YAW: Final = 8  # of EKF2_EV_CTRL, its highest bit
+_EVA_NOISE: Final = 0.01  # of EKF2_EVA_NOISE, "rad": EKF2 takes it for the variance below which no yaw is, so 0.1 are 18 degrees
 _GPS, _EXTERNAL, _MAVLINK = 3, 6, 14  # of EK3_SRCn_POSXY and VELXY; GPSn_TYPE
 _IF_LOST: Final = 4  # of GPS_AUTO_SWITCH: the second receiver only where the first has no fix
 _SWITCH: Final = 90
@@ -169,6 +173,9 @@ def _px4(answers: Answers, config: Config) -> Iterator[Check]:
             yield p.check("EKF2_EV_QMIN", p.get("EKF2_EV_QMIN") >= 1, advice)
         yield p.check("EKF2_EV_DELAY", p.get("EKF2_EV_DELAY") <= _SLOW_MS, "set 0: ODOMETRY is propagated to now", warn=True)
         yield p.check("EKF2_EV_NOISE_MD", p.get("EKF2_EV_NOISE_MD") == 0, "set 0: our covariance is used", warn=True)
+        if p.get("EKF2_EV_CTRL") >= _YAW:
+            advice = "set 0.003: 0.1 is a sigma of 18 degrees, and steps of the velocity turn the heading by 20"
+            yield p.check("EKF2_EVA_NOISE", p.get("EKF2_EVA_NOISE") <= _EVA_NOISE, advice, warn=True)
     if config.mavlink.fixes:
         yield p.check("EKF2_AGP0_CTRL", p.get("EKF2_AGP0_CTRL") >= 1, "set 1: fixes are not used otherwise", warn=True)
         good = p.get("EKF2_AGP0_ID") == config.mavlink.slot

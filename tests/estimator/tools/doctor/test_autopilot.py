@@ -24,7 +24,7 @@ GOOD = {
     "EK3_SRC3_POSXY": 0, "RC9_OPTION": 90, "GPS1_TYPE": 1, "GPS2_TYPE": 0, "GPS_AUTO_SWITCH": 1,
     "INS_GYRO_FILTER": 20, "INS_ACCEL_FILTER": 20,
 }  # fmt: skip
-GOOD_PX4 = {"EKF2_EV_CTRL": 15, "EKF2_EV_QMIN": 1, "EKF2_EV_DELAY": 0.0, "EKF2_EV_NOISE_MD": 0}
+GOOD_PX4 = {"EKF2_EV_CTRL": 15, "EKF2_EV_QMIN": 1, "EKF2_EV_DELAY": 0.0, "EKF2_EV_NOISE_MD": 0, "EKF2_EVA_NOISE": 0.003}
 
 
 class _Answering(UdpAutopilot):
@@ -144,6 +144,9 @@ def test_px4_sends_its_integers_as_bytes() -> None:
         assert checks["EKF2_EV_CTRL"].found == "15"
     with _asked(PX4, GOOD_PX4 | {"EKF2_EV_CTRL": 0, "EKF2_EV_QMIN": 0}) as checks:
         assert {name for name, check in checks.items() if check.state is State.FAIL} == {"EKF2_EV_CTRL", "EKF2_EV_QMIN"}
+        assert "EKF2_EVA_NOISE" not in checks  # no yaw is taken
+    with _asked(PX4, GOOD_PX4 | {"EKF2_EVA_NOISE": 0.1}) as checks:
+        assert checks["EKF2_EVA_NOISE"].state is State.WARN
 
 
 def test_nobody_there_no_endpoint_and_a_port_that_is_taken_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
