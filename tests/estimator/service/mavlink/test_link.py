@@ -4,6 +4,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -114,6 +115,10 @@ def _estimate(t_ns: int) -> Estimate:
 
 def _fused(t_ns: int, kind: str = "pose") -> AidStatus:
     return AidStatus(t_ns, t_ns, f"/{kind}", kind, Reason.FUSED)
+
+
+def _has_come(autopilot: UdpAutopilot, number: int) -> bool:
+    return len(autopilot.of("ODOMETRY")) == number
 
 
 def _soon(condition: Callable[[], object], what: str) -> None:
@@ -325,7 +330,7 @@ def test_a_px4_without_an_origin_is_given_ours_at_its_height_once_it_has_our_odo
             link.send(
                 [*([_fused(t_ns, "gnss_position")] if own else []), _fused(t_ns + k * SECOND), _estimate(t_ns + k * SECOND)], []
             )
-            autopilot.until(lambda k=k: len(autopilot.of("ODOMETRY")) == k + 1, "odometry")
+            autopilot.until(partial(_has_come, autopilot, k + 1), "odometry")
             autopilot.listen(0.02)
             given = [(m.latitude, m.longitude, m.altitude) for m in autopilot.of("SET_GPS_GLOBAL_ORIGIN")]
             height_m = ORIGIN.to_geodetic((10.0, 20.0, -30.0))[2] - 47.5
