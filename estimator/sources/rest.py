@@ -87,9 +87,9 @@ def is_quiet(u: Array) -> bool:
 
 
 def at_rest(u: Array, azimuth: float, earth_n: Array, config: RestConfig) -> Rest:
-    """The measurement in samples u (k, 6): of the rate, sigma^2 = 3e-4^2 + s^2 / k, s^2 the variance of the samples."""
+    """The measurement in samples u (k, 6): of the rate, sigma^2 = 3e-4^2 + s^2 / k, s^2 = mean (w_i - w_i-1)^2 / 2: no sway."""
     given = [math.radians(config.heading_sigma_deg)] + [config.velocity_sigma_m_s] * 3
-    rate = _RATE_SIGMA**2 + u[:, :3].var(axis=0) / len(u)
+    rate = _RATE_SIGMA**2 + 0.5 * np.square(np.diff(u[:, :3], axis=0)).mean(axis=0) / len(u)
     return Rest(azimuth, u[:, :3].mean(axis=0), earth_n, np.diag(np.r_[np.square(given), rate]))
 
 
