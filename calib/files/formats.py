@@ -1,6 +1,6 @@
 """Rig and camera files: ours, OpenCV XML/YAML, ROS camera_info, Kalibr camchain, by content.
 
-load_rig(path) -> StereoRig,  load_camera(path) -> CameraModel; both raise CalibrationError.
+load_rig(path), load_cameras(path, mount) -> StereoRig; both raise CalibrationError.
 """
 
 from enum import StrEnum
@@ -20,7 +20,6 @@ __all__ = [
     "BodyPose",
     "CalibrationError",
     "Format",
-    "load_camera",
     "load_cameras",
     "load_rig",
     "save_camera",
@@ -72,26 +71,6 @@ def load_cameras(path: str | Path, mount: BodyPose | None = None) -> StereoRig:
     if not _SHORTEST_BASELINE_M < rig.baseline_m < _LONGEST_BASELINE_M:
         raise CalibrationError(f"{path}: the cameras are {rig.baseline_m:g} m apart; are the translations in metres?")
     return rig
-
-
-def load_camera(path: str | Path, side: str = "left") -> CameraModel:
-    """One camera; of a rig that of `side`. Raises CalibrationError."""
-    path = Path(path)
-    text = _read(path)
-    try:
-        if _is_opencv(text):
-            camera = opencv.read_camera(text, str(path), side)
-            return camera if camera is not None else _of_rig(opencv.read_rig(text, str(path)), side)
-        value = parse(text, str(path))
-        if "image_width" in value and "camera_matrix" in value:
-            return ros.camera(value, str(path))
-        if value.get("format") == rig_yaml.CAMERA_FORMAT:
-            return rig_yaml.read_camera(value, str(path))
-        if "cam0" in value:
-            return kalibr.camera(value, "cam0" if side == "left" else "cam1", str(path))
-        return _of_rig(_rig(path, text), side)
-    except ValueError as error:
-        raise error if isinstance(error, CalibrationError) else CalibrationError(f"{path}: {error}") from None
 
 
 def save_rig(path: str | Path, rig: StereoRig, form: Format | None = None) -> list[Path]:
@@ -149,7 +128,7 @@ def _on_body(path: Path, text: str, mount: BodyPose | None) -> StereoRig:
 def _one_camera(path: Path, text: str) -> tuple[CameraModel | None, StereoRig | None]:
     where = str(path)
     if _is_opencv(text):
-        return (opencv.read_camera(text, where) if opencv.holds_one_camera(text, where) else None), None
+        return opencv.read_camera(text, where), None
     value: dict[str, Any] = parse(text, where)
     if value.get("format") == rig_yaml.CAMERA_FORMAT:
         return rig_yaml.read_camera(value, where), rig_yaml.read_mount(value, where)
@@ -186,10 +165,6 @@ def _rig_texts(path: Path, rig: StereoRig, form: Format) -> dict[Path, str]:
     if form is Format.OPENCV:
         return {path: opencv.rig_text(rig, path.suffix == ".xml")}
     return {path: rig_yaml.rig_text(rig)}
-
-
-def _of_rig(rig: StereoRig, side: str) -> CameraModel:
-    return rig.right if side == "right" else rig.left
 
 
 def _is_opencv(text: str) -> bool:

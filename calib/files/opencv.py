@@ -23,21 +23,12 @@ _OPENING = re.compile(r"[:?!]|-(?!\.?\d)")  # what opens a level of block YAML w
 _COUNTS = (0, 4, 5, 8)  # distortion coefficients that CameraModel takes
 
 
-def read_camera(text: str, where: str, side: str = "left") -> CameraModel | None:
-    """The camera of a FileStorage text; None for a rig. Raises CalibrationError."""
+def read_camera(text: str, where: str) -> CameraModel | None:
+    """The camera of a FileStorage text; None: it holds a rig, or none. Raises CalibrationError."""
     storage = _open(text, where)
-    if not storage.getNode("camera_matrix").empty():
-        return _camera(storage, "camera_matrix", "distortion_coefficients", "covariance", where)
-    if not storage.getNode("M1").empty():
-        k = "2" if side == "right" else "1"
-        return _camera(storage, f"M{k}", f"D{k}", f"covariance_M{k}", where)
-    raise CalibrationError(f"{where}: no camera_matrix (nor M1) in it: this is no OpenCV camera file")
-
-
-def holds_one_camera(text: str, where: str) -> bool:
-    """Whether a FileStorage text holds a camera and no rig. Raises CalibrationError."""
-    storage = _open(text, where)
-    return storage.getNode("M1").empty() and not storage.getNode("camera_matrix").empty()
+    if storage.getNode("camera_matrix").empty() or not storage.getNode("M1").empty():
+        return None
+    return _camera(storage, "camera_matrix", "distortion_coefficients", "covariance", where)
 
 
 def read_rig(text: str, where: str) -> StereoRig:

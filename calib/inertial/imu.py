@@ -3,7 +3,6 @@
 |S^-1 (f_k - b)| = g,   S = diag(s),   for the mean specific force f_k of each position k   (Skog & Haendel 2006)
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -176,8 +175,3 @@ def _is_noise(n: Noise) -> bool:
 
 def _rate(t_ns: NDArray[np.int64]) -> float:
     return 1e9 / float(np.median(np.diff(t_ns)))
-
-
-def worst(noises: Sequence[Noise]) -> Noise:
-    """The axis of the largest density."""
-    return max(noises, key=lambda n: n.density)

@@ -2,14 +2,10 @@
 
 from pathlib import Path
 
-from models.maps import geojson
 from models.maps.landmarks import LandmarkMap
 from models.maps.table import Defaults, MapError
-from models.messages import Vec3
 from models.untrusted.boundary import refusing
-from models.untrusted.file import content, opened
-
-_HEAD = 4096  # bytes: where a map of ours says its origin
+from models.untrusted.file import content
 
 
 def load(path: Path, defaults: Defaults | None = None) -> LandmarkMap:
@@ -20,10 +16,3 @@ def load(path: Path, defaults: Defaults | None = None) -> LandmarkMap:
             return LandmarkMap.from_geojson(data, defaults)
     except MapError as error:
         raise MapError(f"{path}: {error}") from None
-
-
-def origin(path: Path) -> Vec3:
-    """Origin of a map file, from its head if possible. Raises as load."""
-    with opened(path) as file, refusing(MapError, path):
-        own = geojson.origin_of(file.read(_HEAD))
-    return own or load(path).origin

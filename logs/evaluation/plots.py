@@ -12,14 +12,13 @@ from matplotlib.patches import Ellipse
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from logs.evaluation.collected import Collected
-from logs.evaluation.evaluate import Comparison, compare
+from logs.evaluation.evaluate import compare
 from logs.evaluation.metrics import Indices, Times, within
 from models.messages import Array
 from models.radius import horizontal_radius
 
 BLACK, BLUE, GREEN, VERMILLION, SKY, ORANGE = "#000000", "#0072B2", "#009E73", "#D55E00", "#56B4E9", "#E69F00"
 _BAND: Final = "#CDE7F7"  # a light SKY, opaque: the same inside an outage's shade
-_SIGMAS_95: Final = 1.959964  # of one axis
 _SIGMAS_95_PLANE: Final = 2.447747  # of an ellipse
 _MOST_POINTS: Final = 20_000  # of a line; more are not seen
 _ELLIPSES: Final = 24
@@ -27,49 +26,18 @@ _ELLIPSES: Final = 24
 Spans = list[tuple[int, int]]
 
 
-def from_above(collected: Collected, outages: Spans) -> Figure:
-    """The flight on the map plane."""
-    figure = _figure(8.0, 8.0)
-    axes = figure.add_subplot()
-    draw_from_above(axes, collected, outages)
-    _legend_below(figure, axes)
-    return figure
-
-
-def errors(collected: Collected, outages: Spans) -> Figure:
-    """Axis errors in 95 % bands: position, and attitude where known."""
-    comparison = compare(collected.estimate, collected.truth)
-    columns = 2 if comparison.has_attitude.any() else 1
-    figure = _figure(6.5 * columns + 0.5, 7.5)
-    grid = figure.subplots(3, columns, sharex=True, squeeze=False)
-    variance = np.diagonal(comparison.p_covariance, axis1=1, axis2=2)
-    for k, name in enumerate(("east", "north", "up")):
-        _draw_error(grid[k, 0], comparison, comparison.p_error[:, k], np.sqrt(variance[:, k]), collected, outages)
-        grid[k, 0].set_ylabel(f"{name} error [m]")
-    if columns == 2:
-        sigma = np.sqrt(np.diagonal(comparison.estimate.covariance, axis1=1, axis2=2))[:, 3:]
-        for k, name in enumerate(("about east", "about north", "heading")):
-            error, band = np.rad2deg(comparison.theta_error[:, k]), np.rad2deg(sigma[:, k])
-            _draw_error(grid[k, 1], comparison, error, band, collected, outages)
-            grid[k, 1].set_ylabel(f"{name} error [deg]" if name == "heading" else f"tilt {name} error [deg]")
-    for axes in grid[-1]:
-        axes.set_xlabel("time [s]")
-    _legend_below(figure, grid[0, 0])
-    return figure
-
-
 def overview(collected: Collected, outages: Spans) -> Figure:
     """From above, and horizontal error (or radius alone)."""
     figure = _figure(13.0, 6.0)
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.2))
-    draw_from_above(left, collected, outages)
-    draw_horizontal_error(right, collected, outages)
+    _draw_from_above(left, collected, outages)
+    _draw_horizontal_error(right, collected, outages)
     _legend_below(figure, left, right)
     return figure
 
 
-def draw_from_above(axes: Axes, collected: Collected, outages: Spans) -> None:
-    """The picture of from_above on given axes."""
+def _draw_from_above(axes: Axes, collected: Collected, outages: Spans) -> None:
+    """The flight on the map plane."""
     estimate, truth = collected.estimate, collected.truth
     p = np.where(within(estimate.t_ns, outages)[:, None], np.nan, estimate.p)
     blind = np.where(within(estimate.t_ns, outages)[:, None], estimate.p, np.nan)
@@ -94,7 +62,7 @@ def draw_from_above(axes: Axes, collected: Collected, outages: Spans) -> None:
     axes.grid(alpha=0.25)
 
 
-def draw_horizontal_error(axes: Axes, collected: Collected, outages: Spans) -> None:
+def _draw_horizontal_error(axes: Axes, collected: Collected, outages: Spans) -> None:
     """Horizontal error and 95 % radius, logarithmic."""
     c, start = compare(collected.estimate, collected.truth), int(collected.estimate.t_ns[0])
     reported = collected.estimate if not len(c) else c.estimate
@@ -122,28 +90,6 @@ def draw_horizontal_error(axes: Axes, collected: Collected, outages: Spans) -> N
     axes.set_xlabel("time [s]")
     axes.set_ylabel("horizontal error [m]")
     axes.grid(alpha=0.25, which="both")
-
-
-def _draw_error(axes: Axes, c: Comparison, error: Array, sigma: Array, collected: Collected, outages: Spans) -> None:
-    start, few = int(collected.estimate.t_ns[0]), _thinned(len(c))
-    t = _seconds(c.t_ns, start)[few]
-    t_band, band = _broken_at_holes(t, _SIGMAS_95 * sigma[few])
-    axes.fill_between(t_band, -band, band, color=_BAND, linewidth=0, zorder=1, label="95 % band")
-    _line(axes, *_broken_at_holes(t, error[few]), BLUE, "error, true minus estimated", linewidth=0.9)
-    axes.axhline(0.0, color=BLACK, linewidth=0.5)
-    _draw_events(axes, collected, outages)
-    _compress_outages(axes, sigma, sigma[~within(c.t_ns, outages)])
-    axes.set_xlim(0.0, _seconds(collected.estimate.t_ns[-1:], start)[0])
-    axes.grid(alpha=0.25)
-
-
-def _compress_outages(axes: Axes, sigma: Array, aided: Array) -> None:
-    usual = float(np.median(aided)) if len(aided) else np.inf
-    if np.nanmax(sigma, initial=0.0) > 12.0 * usual > 0.0:
-        linear = 10.0 ** np.ceil(np.log10(_SIGMAS_95 * usual))
-        axes.set_yscale("symlog", linthresh=linear)
-        axes.set_title(f"logarithmic beyond ±{linear:g}", fontsize=8, loc="right")
-        axes.yaxis.set_major_formatter("{x:g}")
 
 
 def _draw_events(axes: Axes, collected: Collected, outages: Spans) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from models.maps import colours, projection
 from models.maps import outline as polygon
-from models.maps.features import FEW, OurFeature, OurPolygon, OurProperties, Parts, features, head_of
+from models.maps.features import FEW, OurFeature, OurPolygon, OurProperties, Parts, features
 from models.maps.table import Alike, Columns, Defaults, MapError, MapReport
 from models.messages import Array, Vec3
 
@@ -76,15 +76,6 @@ def read(data: bytes, defaults: Defaults) -> tuple[Vec3, Columns, MapReport, tup
     common = defaults.common_sigma_m or (head.landfix.common_sigma_m if head.landfix else (0.0, 0.0))
     report = MapReport(len(raw_features), rejected, tuple(parts.remarks), parts.missed(kept), doubt)
     return origin, columns, report, common, head.landfix is not None and head.landfix.automatic
-
-
-def origin_of(data: bytes) -> Vec3 | None:
-    """Origin in the first bytes of our file; None: read it whole."""
-    head, features, _ = data.partition(b'"features"')
-    if not features:
-        return None
-    own = head_of(head.rstrip().removesuffix(b",") + b"}").landfix
-    return own.origin if own and own.origin and _on_earth(own.origin) else None
 
 
 def _on_earth(origin: Vec3) -> bool:

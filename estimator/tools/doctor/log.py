@@ -38,7 +38,6 @@ _FASTEST_RAD_S = 40.0  # 2300 deg/s: beyond the range of flight gyroscopes
 _SWIFT_RAD_S = 3.0
 _FEW_SPIKES = 1e-3  # of all samples; in deg/s more are beyond
 _USUAL = Reason.NO_FIX, Reason.THINNED
-_HALF_EMPTY = 0.1  # of all samples
 
 
 class _Topic:
@@ -222,7 +221,7 @@ def _imu(name: str, samples: Array, t_s: Array, axes: str) -> list[Check]:
     checks.append(_gravity(name, float(np.linalg.norm(still[3:]))))
     checks.append(_turn_rate(name, np.linalg.norm(samples[:, :3], axis=1)))
     checks.append(_axes(name, still[3:], axes))
-    return checks + _halves(name, samples)
+    return checks
 
 
 def _stillest(samples: Array, width: int) -> Array:
@@ -256,15 +255,6 @@ def _turn_rate(name: str, rate: Array) -> Check:
         "looks like deg/s: landfix needs rad/s" if wrong else "single implausible samples: faults of the IMU or of its driver"
     )
     return judge(f"{name} turn rate", found, fail=wrong, warn=beyond > 0, advice=advice)
-
-
-def _halves(name: str, samples: Array) -> list[Check]:
-    """Gyroscope and accelerometer in separate messages, the other zero."""
-    empty = [float(np.mean(~samples[:, part].any(axis=1))) for part in (slice(0, 3), slice(3, 6))]
-    if max(empty) < _HALF_EMPTY:
-        return []
-    found = f"gyroscope exactly zero in {empty[0]:.0%}, accelerometer in {empty[1]:.0%} of the samples"
-    return [judge(f"{name} content", found, fail=True, advice="put rate and force of one moment into one message")]
 
 
 def _axes(name: str, f_b: Array, axes: str) -> Check:

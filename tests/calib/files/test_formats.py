@@ -12,7 +12,6 @@ from calib.files.formats import (
     BodyPose,
     CalibrationError,
     Format,
-    load_camera,
     load_cameras,
     load_rig,
     save_camera,
@@ -82,7 +81,6 @@ def test_ros_and_back_without_the_pose_on_the_body(tmp_path: Path) -> None:
     back = load_rig(written[1])
     np.testing.assert_allclose(back.R_rc, rig().R_rc, atol=1e-12)
     np.testing.assert_allclose(back.t_rc, rig().t_rc, atol=1e-12)
-    assert load_camera(written[0]).fx == rig().left.fx
 
 
 def test_a_rig_without_a_pose_on_the_body_reports_that_it_is_not_given(tmp_path: Path) -> None:
@@ -97,30 +95,14 @@ def test_a_rig_without_a_pose_on_the_body_reports_that_it_is_not_given(tmp_path:
         assert back.covariance_bc[3, 3] >= 10.0
 
 
-def test_a_camera_in_every_format(tmp_path: Path) -> None:
-    camera = rig().right
-    for k, form in enumerate(Format):
-        save_camera(tmp_path / f"{k}.yaml", camera, form)
-        back = load_camera(tmp_path / f"{k}.yaml")
-        np.testing.assert_array_equal(back.matrix, camera.matrix)
-        assert back.distortion[:4] == camera.distortion
-    save_rig(tmp_path / "rig.yaml", rig())
-    save_rig(tmp_path / "rig.xml", rig())
-    for name in ("rig.yaml", "rig.xml"):
-        assert load_camera(tmp_path / name, "right").fx == rig().right.fx
-        assert load_camera(tmp_path / name).fx == rig().left.fx
-
-
 def test_published_files_of_opencv_are_read(landfix_data: Path) -> None:
     folder = landfix_data / "images" / "opencv_chessboard_stereo"
-    camera = load_camera(folder / "left_intrinsics.yml")
+    camera = load_cameras(folder / "left_intrinsics.yml", BodyPose(np.eye(3), np.zeros(3), np.eye(6))).left
     assert (camera.width, camera.height) == (640, 480)
     assert camera.fx == pytest.approx(535.91573396)
     assert camera.distortion[4] == pytest.approx(0.23839153)
     with pytest.raises(CalibrationError, match="R, T missing"):
         load_rig(folder / "intrinsics.yml")
-    with pytest.raises(CalibrationError, match="image_width"):
-        load_camera(folder / "intrinsics.yml")
     with pytest.raises(CalibrationError, match="one camera"):
         load_rig(folder / "left_intrinsics.yml")
 
@@ -178,8 +160,6 @@ def test_files_that_are_none(tmp_path: Path) -> None:
     ):
         with pytest.raises(CalibrationError, match=expected):
             load_rig(path)
-        with pytest.raises(CalibrationError, match=expected):
-            load_camera(path)
     with pytest.raises(CalibrationError, match="cannot be written"):
         save_rig(tmp_path / "no" / "rig.yaml", rig())
     save_camera(tmp_path / "camera.yaml", rig().left)
@@ -222,10 +202,9 @@ _DEEP = {
 def test_a_file_that_is_nested_too_deeply_is_refused_and_ends_no_process(tmp_path: Path, kind: str) -> None:
     path = tmp_path / "rig"
     path.write_text(_DEEP[kind])
-    for load in (load_rig, load_camera):
-        with pytest.raises(CalibrationError, match=r"rig: (is nested more than 100 levels|.*nested too deeply)") as refused:
-            load(path)
-        assert "\n" not in str(refused.value)
+    with pytest.raises(CalibrationError, match=r"rig: (is nested more than 100 levels|.*nested too deeply)") as refused:
+        load_rig(path)
+    assert "\n" not in str(refused.value)
 
 
 def test_a_file_that_is_too_large_is_refused_unread(tmp_path: Path) -> None:
@@ -244,7 +223,6 @@ def test_one_camera_on_the_body_comes_back(tmp_path: Path) -> None:
     assert back.one_camera
     assert_same(alone, back, 0.0)
     np.testing.assert_array_equal(back.covariance_bc, known.covariance_bc)
-    assert load_camera(tmp_path / "camera.yaml").width == known.left.width
     with pytest.raises(CalibrationError, match="one camera"):
         load_rig(tmp_path / "camera.yaml")
     with pytest.raises(CalibrationError, match="yaml only"):

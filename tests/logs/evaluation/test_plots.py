@@ -1,7 +1,6 @@
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,9 +14,6 @@ from logs.evaluation.collected import Collected, read
 from logs.evaluation.evaluate import compare, find_outages
 from tests.logs import flight_log
 from tests.logs.flight_log import Flight
-
-Make: TypeAlias = Callable[[Collected, plots.Spans], Figure]
-FIGURES: list[Make] = [plots.from_above, plots.errors, plots.overview]
 
 
 @pytest.fixture(scope="module")
@@ -51,9 +47,8 @@ def overlaps_axes(figure: Figure) -> bool:
     return bool(outside or any(box.overlaps(axes.get_window_extent()) for axes in figure.axes))
 
 
-@pytest.mark.parametrize("make", FIGURES)
-def test_every_axis_has_its_unit_and_the_legend_hides_nothing(make: Make, collected: Collected, outages: plots.Spans) -> None:
-    figure = make(collected, outages)
+def test_every_axis_has_its_unit_and_the_legend_hides_nothing(collected: Collected, outages: plots.Spans) -> None:
+    figure = plots.overview(collected, outages)
     picture = drawn(figure)
     assert picture.std() > 5  # something is on it
     assert (picture[0, 0] == 255).all()  # on white
@@ -64,7 +59,7 @@ def test_every_axis_has_its_unit_and_the_legend_hides_nothing(make: Make, collec
 
 
 def test_from_above_shows_truth_estimate_fixes_and_outages(collected: Collected, outages: plots.Spans) -> None:
-    (axes,) = plots.from_above(collected, outages).axes
+    axes, _ = plots.overview(collected, outages).axes
     shown = lines(axes)
     np.testing.assert_allclose(np.hypot(*shown["truth"]), 40.0, atol=1e-6)
     aided, blind = shown["estimate, aided"][0], shown["estimate in an outage"][0]
@@ -81,22 +76,9 @@ def test_from_above_shows_truth_estimate_fixes_and_outages(collected: Collected,
 def test_a_far_false_fix_does_not_shrink_the_flight(collected: Collected, outages: plots.Spans) -> None:
     fixes = collected.fixes["/pose_fix"]
     far = replace(fixes, p=fixes.p + 1e5 * ~fixes.used[:, None])
-    figure = plots.from_above(replace(collected, fixes={"/pose_fix": far}), outages)
+    figure = plots.overview(replace(collected, fixes={"/pose_fix": far}), outages)
     drawn(figure)
     assert figure.axes[0].get_xlim()[1] < 60
-
-
-def test_errors_are_shown_with_their_band(collected: Collected, outages: plots.Spans) -> None:
-    figure = plots.errors(collected, outages)
-    assert len(figure.axes) == 6
-    c = compare(collected.estimate, collected.truth)
-    east, about_east, north = (lines(figure.axes[k])["error, true minus estimated"] for k in (0, 1, 2))
-    np.testing.assert_allclose(east[1], c.p_error[:, 0])
-    np.testing.assert_allclose(north[1], c.p_error[:, 1])
-    np.testing.assert_allclose(about_east[1], np.rad2deg(c.theta_error[:, 0]))
-    assert (east[0][0], east[0][-1]) == (0.0, pytest.approx(120.0))
-    band = figure.axes[0].collections[0].get_paths()[0].get_extents()
-    assert band.ymax == pytest.approx(1.96 * np.sqrt(c.p_covariance[:, 0, 0].max()), rel=1e-3)
 
 
 def test_horizontal_error_marks_what_lies_beyond_the_radius(collected: Collected, outages: plots.Spans) -> None:
@@ -109,15 +91,9 @@ def test_horizontal_error_marks_what_lies_beyond_the_radius(collected: Collected
     assert axes.get_yscale() == "log"
 
 
-@pytest.mark.parametrize("make", [plots.from_above, plots.overview])
-def test_images_need_neither_truth_nor_fixes(make: Make, collected: Collected) -> None:
+def test_images_need_neither_truth_nor_fixes(collected: Collected) -> None:
     bare = replace(collected, truth=collected.truth[:0], aids=(), fixes={})
-    assert drawn(make(bare, [])).std() > 3
-
-
-def test_a_truth_without_attitude_has_three_panels(collected: Collected, outages: plots.Spans) -> None:
-    blind = replace(collected.truth, q_wxyz=np.full_like(collected.truth.q_wxyz, np.nan))
-    assert len(plots.errors(replace(collected, truth=blind), outages).axes) == 3
+    assert drawn(plots.overview(bare, [])).std() > 3
 
 
 def test_nothing_is_drawn_over_a_hole() -> None:
@@ -128,11 +104,10 @@ def test_nothing_is_drawn_over_a_hole() -> None:
 
 @pytest.mark.long
 def test_a_real_flight_with_visual_poses_as_the_estimate(landfix_data: Path, tmp_path: Path) -> None:
-    """GIVEN EuRoC's visual poses, THEN every figure is drawn, and the errors are those its README has (0.06 m)."""
+    """GIVEN EuRoC's visual poses, THEN the figure is drawn, and the errors are those its README has (0.06 m)."""
     flight_log.write_vision(tmp_path / "vision.mcap", landfix_data / "flights" / "euroc" / "V1_02_medium")
     real = read(tmp_path / "vision.mcap")
     c = compare(real.estimate, real.truth)
     assert np.sqrt((c.p_error**2).sum(axis=1).mean()) == pytest.approx(0.06, abs=0.006)
     assert np.rad2deg(np.median(np.linalg.norm(c.theta_error, axis=1))) == pytest.approx(1.8, abs=0.1)
-    for make in FIGURES:
-        assert not overlaps_axes(make(real, []))
+    assert not overlaps_axes(plots.overview(real, []))

@@ -10,7 +10,6 @@ import numpy as np
 import pymap3d
 import pytest
 
-from models.maps.geojson import origin_of
 from models.maps.landmarks import WEIGHTS, LandmarkMap
 from models.maps.table import Defaults, MapError, reasons
 from models.messages import Array
@@ -459,17 +458,6 @@ def test_right_angles_tell_that_latitude_and_longitude_are_exchanged(count: int,
     the_map = LandmarkMap.from_geojson(street(count, turn_deg, swap=swap))
     assert len(the_map) == count
     assert ("exchanged" in the_map.report.doubt) == said
-
-
-def test_the_origin_is_read_from_the_head_of_our_own_files() -> None:
-    ours = read(feature(id="a"), feature([ring(50.0)], id="b")).to_geojson()
-    head = ours[: ours.index(b"\n")]
-    assert len(head) < 200
-    assert origin_of(head) == ORIGIN
-    assert origin_of(collection(feature())) is None
-    assert origin_of(head.replace(b"47.0", b"97.0")) is None, "no latitude"
-    assert origin_of(head[:40]) is None
-    assert origin_of(b"\x00\xff") is None
 
 
 def test_reasons_are_counted() -> None:

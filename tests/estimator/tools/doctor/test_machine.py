@@ -220,5 +220,5 @@ def test_gyroscope_and_accelerometer_in_messages_of_their_own_are_found(simulati
     def split(k: int, m: ImuSample) -> ImuSample:
         return msgspec.structs.replace(m, **{"gyro_b" if k % 2 else "accel_b": (0.0, 0.0, 0.0)})
 
-    check = named(doctor_log.log(with_imu(simulation, tmp_path / "x.mcap", split), Config()), "/imu content")
+    check = named(doctor_log.log(with_imu(simulation, tmp_path / "x.mcap", split), Config()), "/imu at fault")
     assert (check.state, "50%" in check.found) == (State.FAIL, True)
