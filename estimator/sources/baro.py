@@ -11,8 +11,7 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
-from estimator.sources.base.aid import Aid, Refusal, SensorConfig, SlowError, log_false, order
-from estimator.sources.base.rules import RULES
+from estimator.sources.base.aid import Aid, Refusal, SensorConfig, SlowError, of_reading
 from models.measurements import Height
 from models.messages import Array, Reading, Reason
 from models.state import X
@@ -43,16 +42,11 @@ class BaroConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
         z = Height(height_m(pressure), np.array([[self.sigma_m**2 + given]]))
         walk = np.array([self.drift_m_sqrt_s**2, 0.0])
         slow = np.diag([0.0, (self.temperature_sigma_k / 288.15) ** 2])
-        return Aid(
-            t_ns=reading.t_ns,
-            arrived_ns=reading.arrived_ns,
-            topic=reading.topic,
-            kind="baro",
-            order=order(reading.t_ns, "baro", reading.topic, pressure, variance),
-            rules=RULES["baro"],
-            absolute=False,
-            log_false=log_false(RULES["baro"], [_FALSE_HEIGHT_M]),
-            measurement=lambda _: z,
+        return of_reading(
+            reading,
+            z,
+            (pressure, variance),
+            [_FALSE_HEIGHT_M],
             slow_errors=(SlowError(reading.topic, slow, math.inf, _slow_jacobian, walk),),
         )
 

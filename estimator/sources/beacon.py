@@ -15,8 +15,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from estimator.sources.base.aid import Aid, Refusal, SensorConfig, SlowError, log_false, order
-from estimator.sources.base.rules import RULES
+from estimator.sources.base.aid import Aid, Refusal, SensorConfig, SlowError, of_reading
 from models import so3
 from models.measurements import Curved
 from models.messages import Array, Reading, Reason
@@ -99,16 +98,4 @@ class BeaconConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
             return Refusal(Reason.IMPLAUSIBLE, f"a range of {z_m:.4g} m; [beacon] longest_m is {self.longest_m:g}")
         z = BeaconRange(z_m, np.array(self.at_n_m[k]), np.array(self.antenna_b_m), np.array([[self.sigma_m**2]]))
         slow = SlowError(f"{reading.topic}.slow", np.array([[self.slow_sigma_m**2]]), self.slow_s)
-        return Aid(
-            t_ns=reading.t_ns,
-            arrived_ns=reading.arrived_ns,
-            topic=reading.topic,
-            kind=reading.kind,
-            order=order(reading.t_ns, reading.kind, reading.topic, z_m),
-            rules=RULES["beacon"],
-            absolute=False,
-            log_false=log_false(RULES["beacon"], [_FALSE_M]),
-            measurement=lambda _: z,
-            slow_errors=(slow,) * (self.slow_sigma_m > 0),
-            weighs=False,
-        )
+        return of_reading(reading, z, (z_m,), [_FALSE_M], slow_errors=(slow,) * (self.slow_sigma_m > 0), weighs=False)

@@ -11,8 +11,7 @@ from typing import Annotated, TypeAlias
 import numpy as np
 from msgspec import Meta
 
-from estimator.sources.base.aid import Aid, Refusal, SensorConfig, SlowError, log_false, order
-from estimator.sources.base.rules import RULES
+from estimator.sources.base.aid import Aid, Refusal, SensorConfig, SlowError, of_reading
 from models.measurements import Heading
 from models.messages import Reading, Reason
 
@@ -42,18 +41,13 @@ class HeadingConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
         given = 0.0 if reading.covariance is None else float(reading.covariance[0, 0])
         is_given = math.isfinite(given) and given > 0.0
         z = Heading(baseline_b, azimuth, np.array([[given if is_given else math.radians(self.sigma_deg) ** 2]]))
-        t_ns = reading.t_ns - round(self.delay_s * 1e9)
         slow = np.array([[math.radians(self.slow_sigma_deg) ** 2]])
-        return Aid(
-            t_ns=t_ns,
-            arrived_ns=reading.arrived_ns,
-            topic=reading.topic,
-            kind=reading.kind,
-            order=order(t_ns, reading.kind, reading.topic, azimuth, given),
-            rules=RULES["heading"],
-            absolute=False,
-            log_false=log_false(RULES["heading"], [math.pi]),
-            measurement=lambda _: z,
+        return of_reading(
+            reading,
+            z,
+            (azimuth, given),
+            [math.pi],
+            delay_s=self.delay_s,
             slow_errors=(SlowError(f"{reading.topic}.slow", slow, self.slow_s),) * (self.slow_sigma_deg > 0),
             assumed="" if is_given else f"the receiver gives no accuracy: [heading] sigma_deg {self.sigma_deg:g} taken",
             weighs=False,

@@ -16,8 +16,7 @@ from typing import Annotated, Final, TypeAlias
 import numpy as np
 from msgspec import Meta
 
-from estimator.sources.base.aid import Aid, Refusal, SensorConfig, SlowError, log_false, order
-from estimator.sources.base.rules import RULES
+from estimator.sources.base.aid import Aid, Refusal, SensorConfig, SlowError, of_reading
 from models import so3
 from models.earth_field import field_n, year_of
 from models.frames import Origin
@@ -82,16 +81,11 @@ class MagnetometerConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
             lambda x: -_UT * seen.by_direction(x),
         )
         place = SlowError(f"{reading.topic}.slow", np.array([[math.radians(self.slow_sigma_deg) ** 2]]), self.slow_s)
-        return Aid(
-            t_ns=reading.t_ns,
-            arrived_ns=reading.arrived_ns,
-            topic=reading.topic,
-            kind=reading.kind,
-            order=order(reading.t_ns, reading.kind, reading.topic, *reading.values),
-            rules=RULES["magnetometer"],
-            absolute=False,
-            log_false=log_false(RULES["magnetometer"], [_FALSE_RAD]),
-            measurement=measurement,
+        return of_reading(
+            reading,
+            measurement,
+            reading.values,
+            [_FALSE_RAD],
             slow_errors=(iron,) * (self.hard_iron_sigma_ut > 0) + (place,) * (self.slow_sigma_deg > 0),
             weighs=False,
             check=lambda origin: self._check(m_b, origin, year),

@@ -13,8 +13,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from estimator.sources.base.aid import Aid, Refusal, SensorConfig, SlowError, log_false, order
-from estimator.sources.base.rules import RULES
+from estimator.sources.base.aid import Aid, Refusal, SensorConfig, SlowError, of_reading
 from models import so3
 from models.measurements import Conditional
 from models.messages import Array, Reading, Reason
@@ -74,15 +73,4 @@ class RangeConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
         z = RangeDown(z_m, self.ground_m or 0.0, noise, _STEEPEST)
         walk = np.array([self.terrain_m_sqrt_s**2])
         ground = SlowError(f"{reading.topic}.ground", np.zeros((1, 1)), math.inf, np.ones((1, 1)), walk)
-        return Aid(
-            t_ns=reading.t_ns,
-            arrived_ns=reading.arrived_ns,
-            topic=reading.topic,
-            kind=reading.kind,
-            order=order(reading.t_ns, reading.kind, reading.topic, z_m),
-            rules=RULES["range"],
-            absolute=False,
-            log_false=log_false(RULES["range"], [_FALSE_HEIGHT_M]),
-            measurement=lambda _: z,
-            slow_errors=(ground,) * (self.ground_m is None),
-        )
+        return of_reading(reading, z, (z_m,), [_FALSE_HEIGHT_M], slow_errors=(ground,) * (self.ground_m is None))

@@ -14,9 +14,8 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from estimator.sources.base.aid import FALSE_VELOCITY_M_S, Aid, Refusal, SensorConfig, SlowError, log_false, order
+from estimator.sources.base.aid import FALSE_VELOCITY_M_S, Aid, Refusal, SensorConfig, SlowError, of_reading
 from estimator.sources.base.covariance import covariance_refusal
-from estimator.sources.base.rules import RULES
 from models import so3
 from models.messages import Array, Reading, Reason
 from models.state import E, X
@@ -77,23 +76,18 @@ class VelocityBodyConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
         if refusal := covariance_refusal(noise):
             return refusal
         z = BodyVelocity(z_b, noise, rows, np.array(self.lever_b_m))
-        t_ns = reading.t_ns - round(self.delay_s * 1e9)
         scale = SlowError(
             f"{reading.topic}.scale", np.array([[self.scale_sigma**2]]), math.inf, lambda x: _along(x)[:, np.newaxis]
         )
         mount = SlowError(
             f"{reading.topic}.mount", math.radians(self.mount_deg) ** 2 * np.eye(3), math.inf, lambda x: -so3.skew(_along(x))
         )
-        return Aid(
-            t_ns=t_ns,
-            arrived_ns=reading.arrived_ns,
-            topic=reading.topic,
-            kind=reading.kind,
-            order=order(t_ns, reading.kind, reading.topic, *reading.values, noise.tobytes()),
-            rules=RULES["velocity_body"],
-            absolute=False,
-            log_false=log_false(RULES["velocity_body"], [FALSE_VELOCITY_M_S] * len(rows)),
-            measurement=lambda _: z,
+        return of_reading(
+            reading,
+            z,
+            (*reading.values, noise.tobytes()),
+            [FALSE_VELOCITY_M_S] * len(rows),
+            delay_s=self.delay_s,
             slow_errors=(scale,) * (self.scale_sigma > 0) + (mount,) * (self.mount_deg > 0),
             weighs=False,
             uses_rate=True,

@@ -14,8 +14,7 @@ from msgspec import Meta
 
 from estimator.sources.air.through_air import AirVelocity, density_ratio, scale_of
 from estimator.sources.air.wind import WindConfig, estimated, wind_errors
-from estimator.sources.base.aid import FALSE_VELOCITY_M_S, Aid, Refusal, SensorConfig, SlowError, log_false, order
-from estimator.sources.base.rules import RULES
+from estimator.sources.base.aid import FALSE_VELOCITY_M_S, Aid, Refusal, SensorConfig, SlowError, of_reading
 from models.frames import Origin
 from models.messages import Reading, Reason
 
@@ -57,20 +56,16 @@ class AirspeedConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):
         def measurement(origin: Origin | None) -> AirVelocity:
             return self._velocity(speed, sigma, origin)
 
-        z, t_ns = self._velocity(speed, sigma, None), reading.t_ns - round(self.delay_s * 1e9)
+        z = self._velocity(speed, sigma, None)
         scale = estimated(scale_of(reading.topic), np.array([self.scale_sigma]), np.eye(len(z.rows))[:, :1] * speed)
         slip = speed * math.radians(self.sideslip_deg)
         sideslip = SlowError(f"{reading.topic}.sideslip", np.array([[slip**2]]), _SIDESLIP_S, np.array([[0.0], [1.0]]))
-        return Aid(
-            t_ns=t_ns,
-            arrived_ns=reading.arrived_ns,
-            topic=reading.topic,
-            kind=reading.kind,
-            order=order(t_ns, reading.kind, reading.topic, speed, given),
-            rules=RULES["airspeed"],
-            absolute=False,
-            log_false=log_false(RULES["airspeed"], [FALSE_VELOCITY_M_S] * len(z.rows)),
-            measurement=measurement,
+        return of_reading(
+            reading,
+            measurement,
+            (speed, given),
+            [FALSE_VELOCITY_M_S] * len(z.rows),
+            delay_s=self.delay_s,
             slow_errors=(
                 *(scale,) * (self.scale_sigma > 0),
                 *(sideslip,) * (self.sideslip_deg > 0),

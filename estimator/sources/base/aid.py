@@ -5,7 +5,7 @@ import struct
 from collections.abc import Callable, Sequence
 from functools import cache
 from hashlib import blake2b
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 
@@ -128,6 +128,26 @@ def order(t_ns: int, kind: str, topic: str, *content: float | bytes) -> tuple[in
     """Place among all measurements: time, kind, topic, content."""
     raw = b"".join([c if isinstance(c, bytes) else _FLOAT.pack(c) for c in content])
     return t_ns, kind, topic, blake2b(raw, digest_size=8).digest()
+
+
+def of_reading(
+    reading: Reading, z: "Measurement | Callable[[Origin | None], Measurement | None]", content: tuple[float | bytes, ...],
+    half_widths: Sequence[float], rules: Rules | None = None, delay_s: float = 0.0, **more: Any,
+) -> Aid:  # fmt: skip
+    """A sensor's reading as z, ordered by its content; rules: those of its kind; more: other fields of Aid."""
+    t_ns, rules = reading.t_ns - round(delay_s * 1e9), rules or RULES[reading.kind]
+    return Aid(
+        t_ns=t_ns,
+        arrived_ns=reading.arrived_ns,
+        topic=reading.topic,
+        kind=reading.kind,
+        order=order(t_ns, reading.kind, reading.topic, *content),
+        rules=rules,
+        absolute=False,
+        log_false=log_false(rules, half_widths),
+        measurement=z if callable(z) else lambda _: z,
+        **more,
+    )
 
 
 def _no_reading(_: object) -> "Measurement | None":
