@@ -219,14 +219,11 @@ def _not_measured(region: Region, reason: str) -> RegionReport:
     return RegionReport("not_measured", region.bbox, reason=reason)
 
 
-def _similarity(found: Identification, i: int) -> float:
-    return float(found.own_similarity[i] if found.landmark[i] != NONE else found.similarity[i])
-
-
 def _region(region: Region, found: Identification, i: int, known: Catalogue, config: IdentifyConfig) -> RegionReport:
     landmark = found.landmark[i] if found.landmark[i] != NONE else found.best[i]
     name = known.ids[landmark] if landmark != NONE else ""
     posterior, candidates = float(found.posterior[i]), int(found.candidates[i])
+    similarity = float(found.own_similarity[i] if found.landmark[i] != NONE else found.similarity[i])
     if found.accepted[i]:
         state, reason = "identified", ""
     elif candidates == 0:
@@ -237,7 +234,7 @@ def _region(region: Region, found: Identification, i: int, known: Catalogue, con
         state, reason = "open", f"probably not in the map ({posterior:.4f}), {candidates} candidates"
     else:
         state, reason = "open", f"ambiguous: probability {posterior:.4f}, {candidates} candidates"
-    return RegionReport(state, region.bbox, name, _similarity(found, i), posterior, candidates, reason)
+    return RegionReport(state, region.bbox, name, similarity, posterior, candidates, reason)
 
 
 def _unsettled(found: Identification, now: int) -> str:

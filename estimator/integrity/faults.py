@@ -100,16 +100,11 @@ def faults(now: Snapshot, config: IntegrityConfig) -> list[Fault]:
 def _weighed(now: Snapshot) -> Iterator[Fault]:
     sigma_h, sigma_v = _sigmas(now.covariance)
     lead, *others = now.hypotheses.members
-    others = [] if now.single else [m for m in others if not _is_spare(m)]
+    others = [] if now.single else [m for m in others if m.benefit or not m.without]  # no spare ones
     whole = 1.0 + sum(math.exp(m.weight + m.benefit) for m in others)
     yield Fault("nominal errors", 1.0 / whole, 0.0, sigma_h, 0.0, sigma_v)
     for member in others:
         yield _separated(_said(member, lead), math.exp(member.weight + member.benefit) / whole, member, now)
-
-
-def _is_spare(member: Hypothesis) -> bool:
-    """Kept for a possibly misled receiver, not in conflict."""
-    return bool(member.without) and not member.benefit
 
 
 def _said(member: Hypothesis, lead: Hypothesis) -> str:

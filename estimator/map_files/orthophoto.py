@@ -75,7 +75,7 @@ def georeference(path: Path, epsg: int = 0) -> tuple[Array, int]:
         raise MapError(
             f"{path}: is not georeferenced: neither a GeoTIFF nor with a world file ({_world_name(path).name}) in the same folder"
         )
-    epsg = epsg or _epsg(tags) or _prj(path)
+    epsg = epsg or _key(tags, _PROJECTED) or _key(tags, _GEOGRAPHIC) or _prj(path)
     if projection.to_lonlat(epsg, np.zeros((1, 2))) is None:
         code = f"EPSG:{epsg} is not known here" if epsg else "is not in its tags"
         option = "--picture-epsg, or picture_epsg of the configuration"
@@ -201,10 +201,6 @@ def _regular(affine: Array, name: object) -> Array:
     if not np.isfinite(affine).all() or abs(np.linalg.det(affine[:, :2])) < 1e-20:
         raise MapError(f"{name}: its georeference is not usable")
     return affine
-
-
-def _epsg(tags: dict[int, tuple[float, ...]]) -> int:
-    return _key(tags, _PROJECTED) or _key(tags, _GEOGRAPHIC)
 
 
 def _key(tags: dict[int, tuple[float, ...]], key: int) -> int:

@@ -255,10 +255,6 @@ def _odometry(
     return worker
 
 
-def _subscriptions(config: RunConfig) -> dict[str, str]:
-    return {topic: schema for topic, schema in config.decoder().types.items() if topic not in {TICK_TOPIC, CHECKPOINT_TOPIC}}
-
-
 def _attachments(config: RunConfig, folder: Path) -> list[Attachment]:
     kept = Attachment(CONFIG_ATTACHMENT, "application/toml", config.toml().encode())
     return [kept, *(file_attachment(kind, folder / file) for kind, file in config.files().items())]
@@ -333,7 +329,8 @@ def _keeper(stack: ExitStack, path: Path | None, clock: Clock, digest: str) -> S
 def _bus(stack: ExitStack, config: RunConfig, folder: Path, clock: Clock, images: Sequence[str]) -> ZenohBus | None:
     if not config.zenoh.enabled:
         return None
-    bus = ZenohBus(config.zenoh, folder, clock, _subscriptions(config), images)
+    topics = {topic: schema for topic, schema in config.decoder().types.items() if topic not in {TICK_TOPIC, CHECKPOINT_TOPIC}}
+    bus = ZenohBus(config.zenoh, folder, clock, topics, images)
     stack.callback(bus.close)
     return bus
 

@@ -4,6 +4,7 @@ import heapq
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Self, TypeAlias
 
 import msgspec
@@ -127,15 +128,11 @@ class Recording:
         return sum(map(len, self.streams))
 
     def __iter__(self) -> Iterator[Message]:
-        return heapq.merge(*self.streams, key=_arrived)
+        return heapq.merge(*self.streams, key=attrgetter("arrived_ns"))
 
     def stream(self, topic: str) -> Stream | None:
         """The topic's stream or None."""
         return next((s for s in self.streams if s.topic == topic), None)
-
-
-def _arrived(message: Message) -> int:
-    return message.arrived_ns
 
 
 def arrival(t_ns: Times) -> Times:

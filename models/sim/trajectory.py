@@ -165,7 +165,7 @@ def _fixed_wing(vehicle: FixedWing, duration_s: float, rng: np.random.Generator)
         outside = np.abs(place).max() > vehicle.area_m / 2
         if outside or rng.random() < 0.5:
             rate = GRAVITY * math.tan(math.radians(vehicle.bank_deg * rng.uniform(0.4, 1.0))) / speed
-            home = _wrap(math.atan2(-place[1], -place[0]) - course)
+            home = math.remainder(math.atan2(-place[1], -place[0]) - course, 2.0 * math.pi)
             turn = home if outside else rng.choice([-1.0, 1.0]) * rng.uniform(0.5, math.pi)
             takes = max(abs(turn) / rate, 1.0)
         t, target = t + takes, rng.uniform(*vehicle.speed_m_s)
@@ -181,10 +181,6 @@ def _fixed_wing(vehicle: FixedWing, duration_s: float, rng: np.random.Generator)
     velocity = np.column_stack([speed * np.cos(course), speed * np.sin(course), -climb])
     points = np.cumsum(velocity, axis=0) * _KNOT_S
     return Trajectory(_spline(points - points[_DEGREE // 2] - (0.0, 0.0, vehicle.height_m)), None, duration_s)
-
-
-def _wrap(angle: float) -> float:
-    return math.remainder(angle, 2.0 * math.pi)
 
 
 def _knot_times(duration_s: float) -> Array:

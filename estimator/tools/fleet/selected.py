@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from hashlib import sha256
 from io import BytesIO
 from itertools import pairwise
+from operator import itemgetter
 from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple
 
@@ -93,7 +94,7 @@ def copy_selected(fs: fsspec.AbstractFileSystem, path: str, out: Path, wanted: C
     source = _Source(fs, path)
     index = source.index()
     with out.open("w+b") as file:
-        if index is None or not _usable(index):
+        if index is None or not index.chunks or not all(chunk.message_index_offsets for chunk in index.chunks):
             whole = ((start, min(start + _BLOCK_BYTES, source.size)) for start in range(0, source.size, _BLOCK_BYTES))
             for block in source.pieces(whole):
                 file.write(block)
@@ -104,10 +105,6 @@ def copy_selected(fs: fsspec.AbstractFileSystem, path: str, out: Path, wanted: C
         while block := file.read(2**20):
             digest.update(block)
     return Copied(source.read_bytes, digest.hexdigest())
-
-
-def _usable(index: Index) -> bool:
-    return bool(index.chunks) and all(chunk.message_index_offsets for chunk in index.chunks)
 
 
 def _write(file: BinaryIO, source: "_Source", index: Index, channels: set[int]) -> None:
@@ -182,7 +179,7 @@ class _Source:
             merged = [(int(a or 0), int(b or 0)) for a, b in zip(begins, stops, strict=True)]
             blocks = dict(zip(merged, self._read(merged), strict=True))
             for a, b in group:
-                begin, stop = merged[bisect_right(merged, a, key=_begin) - 1]
+                begin, stop = merged[bisect_right(merged, a, key=itemgetter(0)) - 1]
                 yield blocks[begin, stop][a - begin : b - begin]
 
     def _read(self, ranges: list[Range]) -> list[bytes]:
@@ -203,10 +200,6 @@ def _groups(ranges: Iterator[Range]) -> Iterator[list[Range]]:
         group.append((a, b))
     if group:
         yield group
-
-
-def _begin(of: Range) -> int:
-    return of[0]
 
 
 def _packed(record: McapRecord) -> bytes:

@@ -3,7 +3,7 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
-from matplotlib.colors import to_rgba
+from matplotlib.colors import to_rgb, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
@@ -33,7 +33,7 @@ def draw(the_map: LandmarkMap, title: str, alike: Alike | None = None) -> Figure
     axes.set_xlim(low[1], high[1])
     axes.set_ylim(low[0], high[0])
     outlines = np.split(columns.vertices[:, ::-1], columns.offsets[1:-1])
-    fills = np.where(columns.colour_bgr[:, :1] >= 0, columns.colour_bgr[:, ::-1] / 255.0, _rgb(_UNKNOWN))
+    fills = np.where(columns.colour_bgr[:, :1] >= 0, columns.colour_bgr[:, ::-1] / 255.0, to_rgb(_UNKNOWN))
     order = np.argsort(-the_map.description[:, polygon.SIZE])  # small ones on top
     edges, widths = _edges(len(the_map), alike)
     axes.add_collection(
@@ -89,10 +89,6 @@ def _title(the_map: LandmarkMap, title: str) -> str:
     grey = f"; grey: colour not known ({unknown})" if unknown else ""
     count = "1 landmark" if len(the_map) == 1 else f"{len(the_map)} landmarks"
     return f"{title}: {count}{grey}\norigin (+) {lat:.6f}, {lon:.6f}, {alt:.0f} m"
-
-
-def _rgb(colour: str) -> Array:
-    return np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255.0
 
 
 def _frame(vertices: Array) -> tuple[Array, Array]:
