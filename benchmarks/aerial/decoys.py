@@ -59,7 +59,7 @@ _M_PER_DEGREE = 111_320.0
 Job = tuple[str, str]  # images, map
 
 
-class Tally(msgspec.Struct, frozen=True):
+class Counts(msgspec.Struct, frozen=True):
     """Of one set of images over one map: how often each outcome, and what was said of those accepted."""
 
     outcomes: dict[str, int]
@@ -82,7 +82,7 @@ def main() -> None:
     args = parser.parse_args()
     done = [job for job in jobs() if args.only in job[0]]
     kept = OUT / "decoys.jsonl"
-    results = run_jobs(done, work, Tally, kept, processes=args.processes, resume=args.resume)
+    results = run_jobs(done, work, Counts, kept, processes=args.processes, resume=args.resume)
     sys.stdout.write(table(dict(zip(done, results, strict=True))).markdown() + f"\n{kept}\n")
 
 
@@ -98,7 +98,7 @@ def jobs() -> Iterator[Job]:
                 yield images, place
 
 
-def work(job: Job) -> Tally:
+def work(job: Job) -> Counts:
     """All images of a set, in order, over one map."""
     images, known = job
     outcomes: Counter[str] = Counter()
@@ -116,7 +116,7 @@ def work(job: Job) -> Tally:
             outcomes["right across a line" if is_right else "fixed"] += 1
             if not is_right:
                 accepted.append(f"{off_m:.1f} m off: {result.report.detail}")
-    return Tally(dict(outcomes), accepted)
+    return Counts(dict(outcomes), accepted)
 
 
 @lru_cache(maxsize=1)
@@ -194,7 +194,7 @@ def tiles(folder: Path) -> GroundImage:
     return GroundImage("wildnav", whole, affine, Heights.level(0.0), 1.0, 1.0)
 
 
-def table(results: dict[Job, Tally]) -> Table:
+def table(results: dict[Job, Counts]) -> Table:
     """One row for each kind of images and of map."""
     rows = []
     kinds = dict.fromkeys((_set(images), _kind(known)) for images, known in results)
@@ -213,9 +213,9 @@ def _kind(known: str) -> str:
     return known if known in OWN else "another place"
 
 
-def _counts(tallies: list[Tally]) -> tuple[str, str, str, str]:
-    seen, searched = sum(sum(t.outcomes.values()) for t in tallies), sum(t.searched for t in tallies)
-    false = sum(len(t.accepted) for t in tallies)
+def _counts(several: list[Counts]) -> tuple[str, str, str, str]:
+    seen, searched = sum(sum(t.outcomes.values()) for t in several), sum(t.searched for t in several)
+    false = sum(len(t.accepted) for t in several)
     return str(seen), str(searched), str(false), f"{3.0 / searched:.2%}" if searched and not false else "-"
 
 

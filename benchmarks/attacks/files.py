@@ -38,7 +38,7 @@ _READ_BY: Final[dict[str, tuple[str, ...]]] = {  # "@": the file
 
 
 def prepare(folder: Path) -> None:
-    """What sound commands need beside the hostile file."""
+    """What sound commands need besides the hostile file."""
     save_rig(folder / "rig.yaml", make_rig())
     (folder / "map.geojson").write_bytes(seeds.of("map")[0])
     (folder / LOG).write_bytes(seeds.of("mcap")[0])

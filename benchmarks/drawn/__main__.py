@@ -66,7 +66,7 @@ def summary(done: Sequence[Flown]) -> dict[str, Any]:
 
 
 def compared(done: Sequence[Flown], known: Sequence[Flown]) -> Table:
-    """Each program of the rows beside this one, over the flights that both have flown."""
+    """Each program of the rows compared with this one, over the flights that both have flown."""
     rows = []
     for other in dict.fromkeys(f.program for f in known):
         theirs = {f.seed: f for f in known if f.program == other}

@@ -1,4 +1,4 @@
-"""Keeps one core from going idle, beside benchmarks.service: what `idle=poll` does on the kernel's command line.
+"""Keeps one core from going idle during benchmarks.service: what `idle=poll` does on the kernel's command line.
 
     python -m benchmarks.service.awake CORE
 

@@ -1,4 +1,4 @@
-"""Sensors beside the positions, made of the truth, with a fault: perturb(flight, size, rng) -> messages in order of arrival."""
+"""Sensors added to the positions, made of the truth, with a fault: perturb(flight, size, rng) -> messages in order of arrival."""
 
 from collections.abc import Callable
 

@@ -89,18 +89,18 @@ def _compile(pipe: Connection, part: Callable[[], None]) -> None:
 
 
 def _seen_at_once() -> None:
-    _looks(0)
+    _images(0)
 
 
 def _searched() -> None:
-    _looks(1)
+    _images(1)
 
 
 def _segmented() -> None:
-    _looks(2)
+    _images(2)
 
 
-def _looks(k: int) -> None:
+def _images(k: int) -> None:
     from estimator.service.vision.warm_up import PRIORS_M, warm_up  # noqa: PLC0415  (each process loads what it needs)
 
     warm_up(PRIORS_M[k : k + 1])

@@ -1,4 +1,4 @@
-"""The left image with what was measured written beside each region."""
+"""The left image, each region with its measurements."""
 
 from collections.abc import Sequence
 

@@ -1,6 +1,6 @@
 """Filters side by side, each with its own answer which measurements are true (docs/decision.md).
 
-* a fix is fused although a false reading explains it nearly as well: a *sceptic* goes on without it and all that agrees with it;
+* a fix is fused although a false reading explains it nearly as well: one goes on without it and all that agrees with it;
 * a fix fails the gate, and no hypothesis that fused the last one predicts it: a *follower* goes on with it;
 * a receiver may be misled for long: one goes on *without* it (left_out.py).
 
@@ -9,10 +9,10 @@
     (of a position at least the density of a noisier source:    w <- w + ln(e N(nu; 0, S + 255 R)))
 
 j: hypotheses that take the source for true; e, u: share and uniform density of false readings; tau: duration of a repeated fault.
-The leading hypothesis is the estimate; another takes over by a margin. In the covariance, not in the decision, a sceptic begins
-with weight e at least and loses 2 dt / tau. Readings of a receiver are no evidence about the hypothesis without it; a fix raises
-that one by ln 1/e at most, and its weight stays above ln(1 - trust). A fix that a hypothesis takes and the leading one refuses is
-a conflict: both count alike in the covariance until decided. (Blackman and Popoli 1999, ch. 16.)
+The leading hypothesis is the estimate; another takes over by a margin. In the covariance, not in the decision, one without a
+measurement begins with weight e at least and loses 2 dt / tau. Readings of a receiver are no evidence about the hypothesis
+without it; a fix raises that one by ln 1/e at most, and its weight stays above ln(1 - trust). A fix that a hypothesis takes and
+the leading one refuses is a conflict: both count alike in the covariance until decided. (Blackman and Popoli 1999, ch. 16.)
 """
 
 import math
@@ -37,7 +37,7 @@ from models.messages import Array
 from models.state import X
 
 _MOST = 4  # hypotheses at a time, those without a receiver not counted
-_LEAST_DOUBT = 1.0  # ln: a sceptic starts at least this far behind
+_LEAST_DOUBT = 1.0  # ln: one without the measurement starts at least this far behind
 _TINY = 1e-9
 
 
@@ -180,7 +180,7 @@ class Hypotheses:
     def _answers(self, e: Evidence, born: list[Hypothesis]) -> list[bool]:
         """Answers of all hypotheses, and which fuse; one without the source gains what the leading one gains.
 
-        born: receives the sceptics.
+        born: receives those without the measurement.
         """
         aid, fused = e.aid, [False] * len(e.seen)
 
@@ -259,7 +259,7 @@ class Hypotheses:
     def _answer(self, k: int, e: Evidence, born: list[Hypothesis], *, lead_refuses: bool) -> bool:
         """Hypothesis k takes the measurement for true (and fuses it), false, or the last false one again.
 
-        born: receives the sceptic; lead_refuses: the leading one took it for false.
+        born: receives one without it; lead_refuses: the leading one took it for false.
         """
         aid, seen, passed, again = e.aid, e.seen[k], e.passed[k], e.again[k]
         member, doubt = self.members[k], self.members[k].doubts.get(aid.topic)
@@ -276,12 +276,12 @@ class Hypotheses:
         if passed:
             margin = max(true - aid.log_false, _LEAST_DOUBT)
             if aid.absolute and member.without != SENSORS and margin < FORGET and member.weight + true - margin > e.doubted:
-                sceptic = member.copy()
-                sceptic.weight += true - margin
-                sceptic.benefit = max(margin + math.log(aid.rules.false_share), 0.0) if aid.resembles else 0.0
-                sceptic.parted_ns, sceptic.without = aid.t_ns, ""
-                sceptic.doubts[aid.topic] = Doubt(aid.t_ns, deliberate=True)
-                born.append(sceptic)
+                doubter = member.copy()
+                doubter.weight += true - margin
+                doubter.benefit = max(margin + math.log(aid.rules.false_share), 0.0) if aid.resembles else 0.0
+                doubter.parted_ns, doubter.without = aid.t_ns, ""
+                doubter.doubts[aid.topic] = Doubt(aid.t_ns, deliberate=True)
+                born.append(doubter)
             member.weight += true
             before_n = member.filter.x[X.P].copy()
             member.filter.update(seen)

@@ -1,7 +1,7 @@
 """MAVLink messages <-> records, both NED and FRD. ODOMETRY differs:
 
 PX4        LOCAL_NED, BODY_FRD; covariances are covariances
-           a position not to be used is nan, beside a velocity that may be
+           a position not to be used is nan, the velocity may be used
 ArduPilot  LOCAL_FRD, BODY_FRD, numbers NED; of three numbers c of the pose's diagonal it makes
            sigma = (c_1^2 + c_2^2 + c_3^2)^(1/3), so that c_i = sqrt(sigma_i^3 / 3) gives it sigma;
            position and attitude: autopilot/local_frame.py

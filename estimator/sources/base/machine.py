@@ -108,7 +108,7 @@ class SourceState(msgspec.Struct, frozen=True):
     def judge(self, rules: Rules, t_ns: int, *, alone: bool, passed: bool, fused: bool, nu: Array, sigma: Array) -> "SourceState":
         """The measurement passed its gate or not.
 
-        A drift is the source's only beside an independent source.
+        A drift is the source's only where there is an independent source.
         """
         state = replace(self, fused_ns=t_ns, failed_ns=_NEVER, is_refuted=False) if fused else self
         if state.phase is Phase.STARTING:

@@ -2,7 +2,7 @@
 
 gate         nu^T S^-1 nu < chi2(gate_probability), over all components at once
 false_share  of the readings are false, uniform within the plausible
-probation    readings of a returning source pass the gate before it is fused beside another position
+probation    readings of a returning source pass the gate before it is fused with another position
 hold_s       a source is not used after a failed gate or drifting innovations; 0: never held off
 spacing_s    of readings closer than this one is fused
 timeout_s    without a reading the source has stopped

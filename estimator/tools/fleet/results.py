@@ -102,7 +102,7 @@ class Results:
 
 
 def keep_configuration(folder: str, text: str) -> None:
-    """Keep a configuration beside the rows, by its sha256."""
+    """Keep a configuration with the rows, by its sha256."""
     fs, root = open_at(folder)
     fs.makedirs(f"{root.rstrip('/')}/configurations", exist_ok=True)
     fs.pipe_file(f"{root.rstrip('/')}/configurations/{sha256(text.encode()).hexdigest()}.toml", text.encode())
