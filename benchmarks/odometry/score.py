@@ -8,7 +8,7 @@ import numpy as np
 from benchmarks.odometry.sets import Pose, Sequence
 from models import so3
 from models.messages import Array
-from vision.odometry.step import OdometrySettings, Prediction, Step, StereoOdometry
+from vision.odometry.step import Prediction, Step, StereoOdometry
 
 _SPEED_SIGMA, _TURN_SIGMA = 0.1, np.radians(0.1)  # of the prediction: m/s, and rad a step; drawn
 
@@ -56,32 +56,27 @@ def relative(a: Pose, b: Pose) -> Pose:
 
 def run(
     sequence: Sequence,
-    settings: OdometrySettings | None = None,
-    *,
-    height_sigma: float | None = None,
-    one_camera: bool = False,
     longest_s: float = 10.0,
 ) -> Scored:
-    """height_sigma: relative, of a height that is given (drawn); longest_s: of a step."""
-    odometry = StereoOdometry(sequence.rig, settings)
+    """All steps of a sequence; longest_s: of a step."""
+    odometry = StereoOdometry(sequence.rig)
     rng = np.random.default_rng(11)
     truth = [f.pose for f in sequence.frames]
     path, errors, lengths, nees, steps, reasons = [truth[0]], [], [], [], [], []
     frame_ms: list[float] = []
     step_ms: list[float] = []
-    factor = 1.0 if height_sigma is None else 1.0 + height_sigma * float(rng.standard_normal())
     previous = None
     for k, frame in enumerate(sequence.frames):
         current = None
         if sequence.tracks is None:
             left, right = frame.images()
             started = time.process_time()
-            current = odometry.frame(left, None if one_camera else right)
+            current = odometry.frame(left, right)
             frame_ms.append(1e3 * (time.process_time() - started))
         if k > 0:
             dt = frame.t_s - sequence.frames[k - 1].t_s
             true = relative(truth[k - 1], truth[k])
-            prediction = _prediction(sequence, k, true, dt, factor, height_sigma, rng)
+            prediction = _prediction(true, dt, rng)
             started = time.process_time()
             if dt > longest_s:
                 path.append(_chained(path[-1], true))
@@ -116,19 +111,12 @@ def run(
     )  # fmt: skip
 
 
-def _prediction(
-    sequence: Sequence, k: int, true: Pose, dt: float, factor: float, height_sigma: float | None, rng: np.random.Generator
-) -> Prediction:
+def _prediction(true: Pose, dt: float, rng: np.random.Generator) -> Prediction:
     """The truth with drawn errors, as a filter with a gyro and a known velocity has them."""
     covariance = np.diag(np.square([_SPEED_SIGMA * dt] * 3 + [_TURN_SIGMA] * 3))
     e = rng.multivariate_normal(np.zeros(6), covariance)
     q = so3.multiply(so3.from_matrix(np.ascontiguousarray(true.R)), so3.quat_exp(e[3:]))
-    p = np.asarray(true.p + e[:3])
-    if height_sigma is None or sequence.down is None:
-        return Prediction(p, q, covariance)
-    before = sequence.frames[k - 1].pose
-    height_m = -float(before.p @ sequence.down)
-    return Prediction(p, q, covariance, before.R.T @ sequence.down, height_m * factor, height_m * height_sigma)
+    return Prediction(np.asarray(true.p + e[:3]), q, covariance)
 
 
 def _chained(a: Pose, step: Pose) -> Pose:

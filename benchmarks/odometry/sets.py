@@ -1,4 +1,4 @@
-"""What odometry is measured on: recorded stereo pairs with truth, recorded tracks, rendered flights straight down."""
+"""What odometry is measured on: recorded stereo pairs with truth, recorded tracks."""
 
 import gzip
 from collections.abc import Callable
@@ -16,7 +16,6 @@ from models.camera import CameraModel, StereoRig
 from models.messages import Array
 from vision.image.rectify import Image
 from vision.odometry.step import Tracks
-from vision.synthetic import Conditions, Scene, World, WorldSpec, blur_of_motion, make_rig, make_world, render_pair
 
 HANDHELD: Final = "euroc_mh01_handheld_stereo_imu"
 KEY_FRAMES: Final = "euroc_v101_keyframes_stereo_imu"
@@ -40,7 +39,7 @@ class Frame(NamedTuple):
 
 @dataclass(frozen=True)
 class Sequence:
-    """rig: as calibrated. tracks: of two frames, where there are no images. down: of the world.
+    """rig: as calibrated. tracks: of two frames, where there are no images.
 
     truth_sigma: error of a true step, m and share of its length.
     """
@@ -50,7 +49,6 @@ class Sequence:
     frames: list[Frame]
     lengths_m: tuple[float, ...]
     tracks: Callable[[int, int], Tracks] | None = None
-    down: Array | None = None
     truth_sigma: tuple[float, float] = (0.0, 0.0)
 
     def every(self, n: int) -> "Sequence":
@@ -68,7 +66,7 @@ def euroc(name: str, pairs: int | None = None) -> Sequence:
         truth = np.loadtxt(file, delimiter=",", skiprows=1)
     rows = np.loadtxt(folder / "frames.csv", delimiter=",", skiprows=1)[:pairs]
     frames = [Frame(t, pose_at(truth, t), _reader(folder, f"{int(k):04d}.jpg")) for k, t in rows.tolist()]
-    return Sequence(name.split("_stereo", maxsplit=1)[0], rig, frames, (1.0, 2.0, 4.0), None, None, (0.001, 0.0))
+    return Sequence(name.split("_stereo", maxsplit=1)[0], rig, frames, (1.0, 2.0, 4.0), None, (0.001, 0.0))
 
 
 def kitti_pairs(folder: Path) -> Sequence:
@@ -85,7 +83,7 @@ def kitti_pairs(folder: Path) -> Sequence:
         Frame(0.1 * k, Pose(T[:, 3], _orthonormal(T[:, :3])), images)
         for k, (T, images) in enumerate(zip(poses, read, strict=True))
     ]
-    return Sequence(folder.name.removesuffix("_stereo"), rig, frames, (20.0, 40.0), None, None, (0.005, 0.005))
+    return Sequence(folder.name.removesuffix("_stereo"), rig, frames, (20.0, 40.0), None, (0.005, 0.005))
 
 
 def kitti_tracks(path: Path) -> Sequence:
@@ -111,66 +109,7 @@ def kitti_tracks(path: Path) -> Sequence:
         _, a, b = np.intersect1d(track[first], track[second], return_indices=True)
         return Tracks(px[first[a]][:, :3], px[second[b]][:, :3])
 
-    return Sequence(f"kitti {path.stem[-15:]}", rig, frames, (100.0,), tracks, None, (0.03, 0.01))
-
-
-def nadir(height_m: float, kind: str, *, exact: bool, moving_m_s: float = 0.0, size: tuple[int, int] = (640, 480)) -> Sequence:
-    """A rendered flight of 10 s straight down, 2 pairs a second; kind: village, grass, forest. exact: the rig is as calibrated.
-
-    moving_m_s: so fast the ground in the right half of the images moves to the side (water, a deck, a large vehicle).
-    """
-    speed = min(10.0, 0.3 * height_m)
-    rig = make_rig(size[0], size[1], 600.0 * size[0] / 640.0)
-    scene = ground_of(kind, 8.0 * speed + 4.0 * height_m + 20.0 * moving_m_s, rig, 7)
-    cameras = rig if exact else scene.rig
-    frames = []
-    for k in range(21):
-        t = 0.5 * k
-        p = np.array([speed * (t - 5.0), 2.0 * np.sin(0.5 * t), np.sin(0.7 * t) - height_m])
-        R = so3.matrix(so3.from_euler(0.05 * np.sin(1.1 * t), 0.05 * np.cos(0.9 * t), 0.15 * t))
-        images = _renderer(scene.world, cameras, Pose(p, R), speed, height_m, k)
-        if moving_m_s:
-            against = Pose(p - [0.0, moving_m_s * t, 0.0], R)
-            images = _halves(images, _renderer(scene.world, cameras, against, speed, height_m, k))
-        frames.append(Frame(t, Pose(p, R), images))
-    name = f"nadir {height_m:.0f} m {kind}{'' if exact else ', rig drawn'}"
-    return Sequence(name, rig, frames, (0.25 * 10.0 * speed, 0.5 * 10.0 * speed), None, np.array([0.0, 0.0, 1.0]))
-
-
-def ground_of(kind: str, area_m: float, rig: StereoRig, seed: int) -> Scene:
-    """A square of village, grass or forest."""
-    spec = {
-        "village": WorldSpec(area_m=area_m, rig=rig),
-        "grass": WorldSpec(area_m=area_m, spacing_m=area_m, cars=0.0, trees=0.0, patches=0.0, clear_m=area_m, rig=rig),
-        "forest": WorldSpec(area_m=area_m, spacing_m=area_m, cars=0.0, trees=250.0, patches=0.0, clear_m=0.1, rig=rig),
-    }[kind]
-    return make_world(seed, spec)
-
-
-def _renderer(
-    world: World, rig: StereoRig, pose: Pose, speed: float, height_m: float, seed: int
-) -> Callable[[], tuple[Image, Image]]:
-    velocity_c = rig.R_bc.T @ pose.R.T @ np.array([speed, 0.0, 0.0])
-    taken = Conditions(blur_px=blur_of_motion(rig.left.fx, velocity_c, np.zeros(3), height_m, 0.003))
-    kept: list[tuple[Image, Image]] = []
-
-    def images() -> tuple[Image, Image]:
-        if not kept:
-            kept.append(render_pair(world, rig, pose.p, pose.R, taken, np.random.default_rng(seed)))
-        return kept[0]
-
-    return images
-
-
-def _halves(
-    still: Callable[[], tuple[Image, Image]], moving: Callable[[], tuple[Image, Image]]
-) -> Callable[[], tuple[Image, Image]]:
-    def images() -> tuple[Image, Image]:
-        pairs = zip(still(), moving(), strict=True)
-        left, right = (np.hstack((a[:, : a.shape[1] // 2], b[:, a.shape[1] // 2 :])) for a, b in pairs)
-        return left, right
-
-    return images
+    return Sequence(f"kitti {path.stem[-15:]}", rig, frames, (100.0,), tracks, (0.03, 0.01))
 
 
 def _reader(folder: Path, name: str, sides: tuple[str, str] = ("left", "right")) -> Callable[[], tuple[Image, Image]]:
