@@ -6,7 +6,6 @@ along it. Of n images without a false fix the false share is below 3 / n (95 %).
 """
 
 import argparse
-import csv
 import math
 import sys
 from collections import Counter
@@ -29,7 +28,6 @@ from benchmarks.aerial.registration_sets import (
     learned_models,
     nust_oblique,
     nust_scene,
-    oblique,
     shots,
     turned,
     village,
@@ -48,13 +46,11 @@ OUT = Path(__file__).resolve().parents[2] / "out" / "registration"
 SEED = 1000  # of the priors
 VILLAGES = tuple(f"village {seed}" for seed in range(100, 102))
 _OBLIQUE, _OBLIQUE_VIEWS = " oblique", 117
-SETS = ("NUST +5", "NUST +10", "Brighton", *VILLAGES, "NUST oblique", "wildnav oblique")
+SETS = ("NUST +5", "NUST +10", "Brighton", *VILLAGES, "NUST oblique")
 OWN = ("quarter", "three quarters", "mirrored", "away")
 _AWAY_M = (150.0, 300.0)  # beyond what features search by this prior
 _NOT_SEARCHED = frozenset({"no_ground", "outside", "prior_too_wide"})
 _NOWHERE = LandmarkMap.from_landmarks((0.0, 0.0, 0.0), [])
-_TILES, _TILES_STEP_M = 6, 0.25
-_M_PER_DEGREE = 111_320.0
 
 Job = tuple[str, str]  # images, map
 
@@ -91,9 +87,8 @@ def jobs() -> Iterator[Job]:
     for images in SETS:
         for known in OWN:
             yield images, known
-    places = ["NUST", "wildnav"] if tiles_folder(data_folder()).is_dir() else ["NUST"]
     for images in SETS:
-        for place in (*places, *(() if images.endswith(_OBLIQUE) else VILLAGES)):
+        for place in ("NUST", *(() if images.endswith(_OBLIQUE) else VILLAGES)):
             if place not in images:
                 yield images, place
 
@@ -127,9 +122,6 @@ def _models() -> Learned | None:
 @lru_cache(maxsize=2)
 def scenes(images: str) -> tuple[Scene, ...]:
     """Of one name: a flight, or a village on three days."""
-    if images == "wildnav oblique":
-        ground = _place("wildnav")
-        return (oblique(ground, MapImage.of(ground), _OBLIQUE_VIEWS, SEED),)
     if images == "NUST oblique":
         return (nust_oblique(data_folder(), _OBLIQUE_VIEWS, SEED),)
     if images.startswith("NUST"):
@@ -156,7 +148,7 @@ def decoy(scene: Scene, known: str, key: tuple[int, str, int], spread: Spread) -
 def _place(known: str) -> GroundImage:
     if known == "NUST":
         return nust_scene(data_folder(), -1).known.image  # none of its frames
-    return tiles(tiles_folder(data_folder())) if known == "wildnav" else scenes(known)[0].known.image
+    return scenes(known)[0].known.image
 
 
 def _moved_to(scene: Scene, place: GroundImage, key: tuple[int, str, int]) -> MapImage:
@@ -169,29 +161,6 @@ def _moved_to(scene: Scene, place: GroundImage, key: tuple[int, str, int]) -> Ma
     shift = middle - linear @ (0.5 * np.array([width - 1.0, height - 1.0]))
     down = float(scene.known.image.heights.at(middle[None])[0])
     return MapImage.of(replace(place, affine=np.column_stack((linear, shift)), heights=Heights.level(down)))
-
-
-def tiles_folder(data: Path) -> Path:
-    """Satellite pictures of the repository TIERS/wildnav (Turku, BSD 3-Clause), where they are."""
-    return data / "images" / "wildnav_satellite"
-
-
-def tiles(folder: Path) -> GroundImage:
-    """The first six pictures of map.csv in one, north up; the others leave gaps."""
-    with (folder / "map.csv").open() as file:
-        rows = list(csv.reader(file))[1 : 1 + _TILES]
-    names, corners = [row[0].strip() for row in rows], np.array([[float(x) for x in row[1:]] for row in rows])
-    north, west = corners[:, 0].max(), corners[:, 1].min()
-    to_px = np.array([_M_PER_DEGREE, _M_PER_DEGREE * math.cos(math.radians(north))]) / _TILES_STEP_M
-    px = np.rint((corners - (north, west, north, west)) * np.tile(to_px * (-1.0, 1.0), 2)).astype(int)
-    whole = np.zeros((*px[:, 2:].max(axis=0), 3), dtype=np.uint8)
-    for name, (v, u, v1, u1) in zip(names, px.tolist(), strict=True):
-        image = cv2.imread(str(folder / name))
-        if image is None:
-            raise FileNotFoundError(folder / name)
-        whole[v:v1, u:u1] = cv2.resize(image, (u1 - u, v1 - v), interpolation=cv2.INTER_AREA)
-    affine = np.array([[0.0, -_TILES_STEP_M, 0.0], [_TILES_STEP_M, 0.0, 0.0]])
-    return GroundImage("wildnav", whole, affine, Heights.level(0.0), 1.0, 1.0)
 
 
 def table(results: dict[Job, Counts]) -> Table:

@@ -1,6 +1,6 @@
 """Sets for registration: a video, photos, rendered ground.
 
-Oblique views, 45 degrees ahead, are rendered from the video's ground or satellite tiles, without relief.
+Oblique views, 45 degrees ahead, are rendered from the video's ground, without relief.
 """
 
 import math
