@@ -18,6 +18,7 @@ duration_s = 150.0
 kind = "multirotor"
 [imu]
 grade = "hobby"
+rate_hz = 100.0
 [gnss]
 sigma_m = [2.0, 2.0, 4.0]
 velocity_sigma_m_s = [0.5, 0.5, 0.5]
@@ -38,7 +39,7 @@ def _barometer(simulation: Simulation) -> list[Input]:
     rng, truth = np.random.default_rng(5), simulation.truth
     gust = SIGMA_M * rng.standard_normal(200)
     readings: list[Input] = []
-    for k in range(0, len(truth.t_ns), 20):
+    for k in range(0, len(truth.t_ns), 10):
         t_ns = int(truth.t_ns[k])
         height = -truth.p_n[k, 2] / WARM + gust[(t_ns - EPOCH_NS) // 10**9] + ZERO_M
         readings.append(Reading(t_ns, t_ns, "/baro", "baro", (_pressure_pa(height),)))

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from numba.core.dispatcher import Dispatcher
 
 import estimator
@@ -42,6 +43,7 @@ print(int(np.isfinite(offsets).sum()), hashlib.sha256(offsets.tobytes() + usable
 """
 
 
+@pytest.mark.long
 def test_a_kernel_that_was_just_compiled_gives_the_bits_of_one_that_is_loaded(tmp_path: Path) -> None:
     def run() -> str:
         environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}

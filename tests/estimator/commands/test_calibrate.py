@@ -8,7 +8,7 @@ from typer.testing import CliRunner, Result
 
 from calib.board.chessboard import Board
 from calib.cameras.bundle import Pose
-from calib.files.formats import load_camera, load_cameras, load_rig, save_rig
+from calib.files.formats import BodyPose, load_cameras, load_rig, save_rig
 from estimator.cli import app
 from estimator.commands.common import image_source
 from logs.store.recorder import Recorder
@@ -62,7 +62,7 @@ def test_mono_writes_camera_report_and_picture(folder: Path, tmp_path: Path) -> 
     text = run("mono", folder / "left_*.png", *SIZE, "-o", out)
     assert text.exit_code == 0, text.output
     assert "Verdict: " in text.stdout
-    camera = load_camera(out)
+    camera = load_cameras(out, BodyPose(np.eye(3), np.zeros(3), np.eye(6))).left
     assert camera.fx == pytest.approx(270.0, rel=0.01)
     assert camera.covariance is not None
     page = (tmp_path / "camera.html").read_text()
