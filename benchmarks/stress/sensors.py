@@ -1,12 +1,13 @@
-"""Sensors added to the positions, made of the truth, with a fault: perturb(flight, size, rng) -> messages in order of arrival."""
+"""Other sensors and a second source of fixes, with a fault: perturb(flight, size, rng) -> messages in order of arrival."""
 
 from collections.abc import Callable
 
 import numpy as np
+from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 
 from benchmarks.stress.flights import Flight
-from models.messages import Array, Input, OdometryPose, Reading, vec3
+from models.messages import Array, Input, OdometryPose, PoseFix, Quat, Reading, vec3
 from models.sim.faults import in_order
 
 SINCE_S = 25.0  # of what drifts
@@ -53,6 +54,38 @@ def baro_climbs(flight: Flight, size: float, rng: np.random.Generator) -> list[I
         height_m = base_m - float(flight.p_n[k, 2]) + size * by_s + _NOISE_M * rng.standard_normal()
         found.append(Reading(t_ns, t_ns, "/baro", "baro", (_PA * (1.0 - _PER_M * height_m) ** _POWER,)))
     return in_order([*flight.messages, *found])
+
+
+def second_shifted(flight: Flight, size: float, rng: np.random.Generator) -> list[Input]:
+    """Another source of fixes, which comes first and is size m off."""
+    return _with_fixes(flight, rng, lambda m: replace(m, p_n=vec3(np.add(m.p_n, (0.8 * size, 0.6 * size, 0.0)))))
+
+
+def second_turned(flight: Flight, size: float, rng: np.random.Generator) -> list[Input]:
+    """Another source of fixes, which comes first; its map is turned about its origin by size degrees."""
+    turn = Rotation.from_euler("z", size, degrees=True)
+    return _with_fixes(flight, rng, lambda m: replace(m, p_n=vec3(turn.apply(m.p_n)), q_nb_wxyz=_times_left(turn, m.q_nb_wxyz)))
+
+
+def second_late(flight: Flight, size: float, rng: np.random.Generator) -> list[Input]:
+    """Another source of fixes, stamped and arriving size ms late."""
+    by_ns = round(size * 1e6)
+    return _with_fixes(flight, rng, lambda m: replace(m, t_ns=m.t_ns + by_ns, arrived_ns=m.arrived_ns + by_ns))
+
+
+def _with_fixes(flight: Flight, rng: np.random.Generator, fault: Callable[[PoseFix], PoseFix]) -> list[Input]:
+    """With a true fix, of noise of its own and with the fault, at the time of each one."""
+    found = list[Input]()
+    for m in (m for m in flight.messages if isinstance(m, PoseFix)):
+        k, noise = flight.row(m.t_ns), np.linalg.cholesky(m.covariance) @ rng.standard_normal(6)
+        q = _times_left(Rotation.from_rotvec(noise[3:]), Rotation.from_matrix(flight.R_nb[k]).as_quat(scalar_first=True))
+        found.append(fault(replace(m, topic="/another", p_n=vec3(flight.p_n[k] + noise[:3]), q_nb_wxyz=q)))
+    return in_order([*found, *flight.messages])
+
+
+def _times_left(turn: Rotation, q_wxyz: object) -> Quat:
+    w, x, y, z = (turn * Rotation.from_quat(np.asarray(q_wxyz), scalar_first=True)).as_quat(scalar_first=True).tolist()
+    return w, x, y, z
 
 
 def _with_velocity(

@@ -1,12 +1,18 @@
-"""A source in lasting conflict with the estimate: the map may be wrong (docs/decision.md).
+"""A source in lasting conflict with the estimate (docs/decision.md).
 
-    P <- P + w (S + d d^T),     w = w_0 exp(-(|d| / d_0)^2)                    (Bar-Shalom, Li, Kirubarajan 2001, 1.4.16)
+    P <- P + w (S + d d^T)                                                     (Bar-Shalom, Li, Kirubarajan 2001, 1.4.16)
+    w = n / (n + m)  where n >= m: nothing decides,     w_0 exp(-(|d| / d_0)^2)  elsewhere: the map may be wrong
 
-d (3,) [m]: to the source's position, of covariance S (3, 3); w_0: share of conflicts by a wrong map; d_0 [m]: its errors.
+d (3,) [m]: to the source's position, of covariance S (3, 3); n, m: sources nearer to it and to the estimate, n also the IMU where
+it contradicts the estimate; w_0: share of conflicts by a wrong map; d_0 [m]: its errors. A receiver alone does not contradict.
+K sources of fixes that are fused, with innovations nu that do not average out, differ from one another:
+
+    m <- m + a (nu - m),   P <- P + sum_k max(1 - 3 E|m|^2 / |m_k|^2, 0) m_k m_k^T / K,   E|m|^2 = a / (2 - a) tr R_k
 """
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Set
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -17,19 +23,29 @@ from estimator.sources.base.gating import gate
 from models.measurements import Measurement, Pose, Position
 from models.messages import Array
 
+VOUCHED_NS = 10_000_000_000  # a source that gave a position since then is one to compare another with
 _XYZ = 3
+_STEADY, _ENOUGH = (
+    0.5,
+    3,
+)  # change of d from one reading to the next, of its size, and so many of a source that agrees with itself
+_GAIN = 0.1
+_TELLS = 3.0  # a source tells two positions apart whose distance squared is larger than so many times its variance
+_CLEARLY = 3.0  # so many times nearer to one position than to the other
+_TINY = 1e-12
 _SHOWS = 2.0  # times d_0: w is a fiftieth of w_0
 _LASTS_NS = 1_000_000_000  # shorter ones are outliers
 _NEAR = 0.1  # share of the positions of a receiver that is right which are nearer
 
 
 class Apart(NamedTuple):
-    """A source away from the estimate by off (3,) [m] of covariance s (3, 3) at last_ns."""
+    """A source away from the estimate by off (3,) [m] of covariance s (3, 3) at last_ns; steady: readings in a row that agree."""
 
     since_ns: int
     last_ns: int
     off: Array
     s: Array
+    steady: int
 
     @property
     def lasts(self) -> bool:
@@ -37,14 +53,22 @@ class Apart(NamedTuple):
         return self.last_ns - self.since_ns >= _LASTS_NS
 
     @property
+    def agrees(self) -> bool:
+        """It lasts, and agrees with itself."""
+        return self.lasts and self.steady >= _ENOUGH
+
+    @property
     def may_be_right(self) -> bool:
         """It shows in the covariance."""
         return float(self.off @ self.off) < (_SHOWS * MAP_ELSEWHERE_M) ** 2
 
     @property
-    def added(self) -> Array:
+    def by_map(self) -> float:
+        """Weight of an error of the map."""
+        return MAP_ELSEWHERE * math.exp(-float(self.off @ self.off) / MAP_ELSEWHERE_M**2)
+
+    def added(self, weight: float) -> Array:
         """To the covariance of the position, (3, 3)."""
-        weight = MAP_ELSEWHERE * math.exp(-float(self.off @ self.off) / MAP_ELSEWHERE_M**2)
         return weight * (self.s + np.outer(self.off, self.off))
 
     @property
@@ -53,43 +77,128 @@ class Apart(NamedTuple):
         return bool(self.off @ np.linalg.solve(self.s, self.off) <= gate(_NEAR, _XYZ))
 
 
+class Place(NamedTuple):
+    """Newest position of a source, off (3,) [m] from the estimate, of variance (trace) [m^2]; mean (3,) of its innovations."""
+
+    t_ns: int
+    off: Array
+    variance: float
+    mean: Array
+    is_receiver: bool
+
+    @property
+    def differs(self) -> Array:
+        """What the noise of the innovations does not explain of m m^T, (3, 3)."""
+        noise, size = _GAIN / (2.0 - _GAIN) * self.variance, float(self.mean @ self.mean)
+        return max(1.0 - 3.0 * noise / max(size, _TINY), 0.0) * np.outer(self.mean, self.mean)
+
+
 @dataclass(frozen=True, slots=True)
 class Conflicts:
-    """apart: sources in lasting disagreement, by topic.
+    """apart: sources in lasting disagreement, by topic; newest: positions of all.
 
-    contrary_ns: last rejected velocity of a receiver, by the topic of its positions.
+    contrary_ns: last rejected velocity of a receiver, by the topic of its positions; between: covariance (3, 3) of what fused
+    fixes of different sources differ by, None without.
     """
 
     apart: dict[str, Apart] = field(default_factory=dict)
     contrary_ns: dict[str, int] = field(default_factory=dict)
+    newest: dict[str, Place] = field(default_factory=dict)
+    between: Array | None = None
 
-    def compared(self, aid: Aid, z: Measurement, position_n: Array, *, disagrees: bool, lingers: bool = False) -> "Conflicts":
-        """After a reading, estimate at position_n (3,) [m]; lingers: until the source is near."""
+    def compared(
+        self, aid: Aid, z: Measurement, position_n: Array, nu: Array, *, disagrees: bool, lingers: bool = False
+    ) -> "Conflicts":
+        """After a reading with the innovation nu, estimate at position_n (3,) [m]; lingers: until the source is near."""
         before = self.apart.get(aid.topic)
-        if (disagrees or (lingers and before)) and isinstance(z, Position | Pose) and len(z.z_n) == len(z.rows[:_XYZ]):
+        if not (isinstance(z, Position | Pose) and len(z.z_n) == len(z.rows[:_XYZ])):
+            return self.without(aid.topic)
+        off = z.z_n - position_n
+        here = replace(self, newest={**self.newest, aid.topic: self._place(aid, z, off, nu)})
+        if disagrees or (lingers and before):
             slow = sum(error.covariance for error in aid.slow_errors if len(error.covariance) == _XYZ)
-            since_ns = before.since_ns if before else aid.t_ns
-            now = Apart(since_ns, aid.t_ns, z.z_n - position_n, z.noise[:_XYZ, :_XYZ] + slow)
+            is_steady = before is not None and np.linalg.norm(off - before.off) < _STEADY * np.linalg.norm(off)
+            now = Apart(
+                before.since_ns if before else aid.t_ns,
+                aid.t_ns,
+                off,
+                z.noise[:_XYZ, :_XYZ] + slow,
+                before.steady + 1 if before and is_steady else 0,
+            )
             if disagrees or not now.is_near:
-                return Conflicts({**self.apart, aid.topic: now}, self.contrary_ns)
-        return Conflicts({t: a for t, a in self.apart.items() if t != aid.topic}, self.contrary_ns) if before else self
+                return replace(here, apart={**self.apart, aid.topic: now})._with_between()
+        return here._agrees(aid.topic)._with_between()
 
-    def judged(self, aid: Aid, z: Measurement, position_n: Array, *, is_rejected: bool) -> "Conflicts":
+    def _place(self, aid: Aid, z: Position | Pose, off: Array, nu: Array) -> Place:
+        before, apart = self.newest.get(aid.topic), self.apart.get(aid.topic)
+        mean = before.mean if before is not None and aid.t_ns - before.t_ns < VOUCHED_NS else np.zeros(_XYZ)
+        if apart is None or apart.steady >= _ENOUGH:
+            mean = mean + _GAIN * (nu[:_XYZ] - mean)
+        return Place(aid.t_ns, off, float(z.noise[:_XYZ, :_XYZ].trace()), mean, aid.geodetic is not None)
+
+    def _with_between(self) -> "Conflicts":
+        if len(self.newest) == 1:  # most of the time
+            return self
+        now_ns = max(place.t_ns for place in self.newest.values())
+        fused = [
+            place
+            for topic, place in self.newest.items()
+            if not place.is_receiver and topic not in self.apart and now_ns - place.t_ns < VOUCHED_NS
+        ]
+        between = np.mean([place.differs for place in fused], axis=0) if len(fused) > 1 else np.zeros(_XYZ)
+        return replace(self, between=between if between.any() else None)
+
+    def without(self, topic: str) -> "Conflicts":
+        """Nothing of this source."""
+        newest = {t: at for t, at in self.newest.items() if t != topic} if topic in self.newest else self.newest
+        return replace(self._agrees(topic), newest=newest)
+
+    def _agrees(self, topic: str) -> "Conflicts":
+        return replace(self, apart={t: a for t, a in self.apart.items() if t != topic}) if topic in self.apart else self
+
+    def judged(self, aid: Aid, z: Measurement, position_n: Array, nu: Array, *, is_rejected: bool) -> "Conflicts":
         """Once aligned: sources whose positions are rejected, receivers whose velocities are."""
         if aid.receiver and is_rejected:
-            return Conflicts(self.apart, self.contrary_ns | {aid.receiver: aid.t_ns})
+            return replace(self, contrary_ns=self.contrary_ns | {aid.receiver: aid.t_ns})
         if not aid.absolute:
             return self
         is_receiver, contrary_ns = aid.log_misled is not None, self.contrary_ns.get(aid.topic)
         is_contrary = is_rejected or (contrary_ns is not None and aid.t_ns - contrary_ns < _LASTS_NS)
-        return self.compared(aid, z, position_n, disagrees=is_contrary, lingers=is_receiver)
+        return self.compared(aid, z, position_n, nu, disagrees=is_contrary, lingers=is_receiver)
 
-    def added(self, *, is_decided: bool) -> Array:
+    def shares(self, receivers: Set[str], *, doubts_imu: bool) -> dict[str, float]:
+        """n / (n + m) of the sources against which nothing decides, by topic."""
+        found = dict[str, float]()
+        for topic, apart in self.apart.items():
+            nearer, m = self._votes(topic, apart, 1.0)
+            n = 1 + nearer + doubts_imu
+            is_alone = n == 1 and (topic in receivers or not apart.agrees)
+            if n >= m and not is_alone:
+                found[topic] = n / (n + m)
+        return found
+
+    def outvotes(self, topic: str) -> bool:
+        """Whether fixes of a source, and others that are clearly near them, are more than those that the estimate rests on."""
+        apart = self.apart.get(topic)
+        if apart is None or not apart.agrees:
+            return False
+        nearer, m = self._votes(topic, apart, _CLEARLY)
+        return 1 + nearer > m and nearer > 0
+
+    def _votes(self, topic: str, apart: Apart, times: float) -> tuple[int, int]:
+        """Other sources so many times nearer to this one than to the estimate, and those that the estimate rests on."""
+        distance2, nearer, others = float(apart.off @ apart.off), 0, 0
+        for t, place in self.newest.items():
+            if t == topic or apart.last_ns - place.t_ns >= VOUCHED_NS or distance2 <= times**2 * _TELLS * place.variance:
+                continue
+            is_nearer = times**2 * np.sum((place.off - apart.off) ** 2) < place.off @ place.off
+            nearer, others = nearer + bool(is_nearer), others + (not is_nearer and t not in self.apart)
+        return nearer, others
+
+    def added(self, shares: Mapping[str, float]) -> Array:
         """Added covariance of the position, (3, 3)."""
-        total = np.zeros((_XYZ, _XYZ))
-        for apart in self.apart.values():
-            if not is_decided:
-                total += np.outer(apart.off, apart.off)
-            elif apart.lasts:
-                total += apart.added
+        total = np.zeros((_XYZ, _XYZ)) if self.between is None else self.between.copy()
+        for topic, apart in self.apart.items():
+            if topic in shares or apart.lasts:
+                total += apart.added(shares.get(topic, apart.by_map))
         return total

@@ -1,20 +1,20 @@
 """Why an estimate is less certain than configured, a sentence each."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 
 import numpy as np
 
-from estimator.filter.conflict import Apart
+from estimator.filter.conflict import VOUCHED_NS, Apart
 from estimator.filter.hypotheses import Hypotheses
 from estimator.filter.mismatch import Delays, Frame, Jamming, Scatter, delay
 from estimator.filter.relative import drift
 from estimator.sources.base.machine import SourceState
 from estimator.sources.odometry import DRIFT, WRONG, drift_block
 
-VOUCHED_NS = 10_000_000_000  # a source that was fused since then is one to compare another with
 _NEW_NS = 1_000_000_000
 _NOISY = 9.0  # times the variance
+_COVERED, _ALLOWED = ", but the covariance covers it", ", but the covariance allows for an error of the map"
 _WORTH_SAYING = 2.0  # of the variance of unit weight
 
 
@@ -29,11 +29,11 @@ def conflict(hypotheses: Hypotheses | None, absolute: Iterable[str], sources: Ma
     return f"{sides[0]} and {sides[1]} disagree by {distance_m:.1f} m for {since_s:.0f} s: the covariance covers both"
 
 
-def apart(found: Mapping[str, Apart]) -> list[str]:
-    """Rejected receivers and their distances."""
+def apart(found: Mapping[str, Apart], undecided: Container[str]) -> list[str]:
+    """Rejected sources and their distances; undecided: against which nothing decides."""
     return [
         f"{topic} is {np.linalg.norm(a.off):.1f} m from the estimate for {(a.last_ns - a.since_ns) * 1e-9:.0f} s: not used"
-        + (", but the covariance allows for an error of the map" if a.may_be_right else "")
+        + (_COVERED if topic in undecided else _ALLOWED if a.may_be_right else "")
         for topic, a in sorted(found.items())
         if a.lasts
     ]

@@ -23,6 +23,7 @@ from estimator.filter.alignment import (
     lacks,
     widen_unaligned,
 )  # fmt: skip
+from estimator.filter.conflict import VOUCHED_NS, Conflicts
 from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.hypotheses import Hypotheses, Hypothesis, Verdict
 from estimator.filter.imu_buffer import ImuBuffer
@@ -56,7 +57,6 @@ _LOST_NS = 60_000_000_000  # an IMU gap after which the alignment begins again
 _NOT_YET = "used once the attitude is known: false axes would mislead the alignment"
 _XYZ = 3
 _REFUTED = 2  # positions in a row
-_MAJORITY = 2  # witnesses that contradict the estimate: receiver, fixes, IMU
 
 
 class Tracker:
@@ -74,7 +74,6 @@ class Tracker:
         self.kept: dict[str, Kept] = {}  # poses that the filters keep, by topic of odometry
         self.anchor: GnssAnchor | None = None
         self.frames: dict[str, Frame] = {}  # of pose sources; never changed in place
-        self.receiver_n: Array | None = None  # newest position of a receiver
         self.delays: Delays = {}
         self.lasting: Mapping[str, Lasting] = {}  # of pose sources
         self.late_cov: Array | None = None  # (3, 3) of the position, by a delay that the newest fix may have
@@ -99,7 +98,7 @@ class Tracker:
         other.core.receivers = core.receivers
         other.sources, other.place, other.anchor = self.sources.copy(), self.place, self.anchor
         other.alignment.given_up = self.alignment.given_up
-        other.frames, other.receiver_n, other.lasting = self.frames, self.receiver_n, self.lasting
+        other.frames, other.lasting = self.frames, self.lasting
         other.delays, other.bias_walk = self.delays, self.bias_walk
         return other
 
@@ -126,9 +125,8 @@ class Tracker:
         lead = bank.members[0]
         if lead.past:
             cov[E.P, E.P] += lead.past.added(lead.fused_ns)
-        if core.conflicts.apart:
-            contradicted = len(core.absolute & lead.rejected) + lead.doubts_imu  # by how many witnesses
-            cov[E.P, E.P] += core.conflicts.added(is_decided=core.is_aligned and contradicted < _MAJORITY)
+        if core.conflicts.apart or core.conflicts.between is not None:
+            cov[E.P, E.P] += core.conflicts.added(self._undecided)
         if self.late_cov is not None:
             cov[E.P, E.P] += self.late_cov
         if (stepped := self.step_covariance) is not None:
@@ -136,6 +134,14 @@ class Tracker:
         if core.is_aligned and self.alignment.without_sensor is not None:
             return self.alignment.without_sensor.mixed(cov, bank.lead.x)
         return cov
+
+    @property
+    def _undecided(self) -> Mapping[str, float]:
+        """Sources against which nothing decides, and their shares."""
+        core, bank = self.core, self.alignment.bank
+        if not core.is_aligned or bank is None:
+            return dict.fromkeys(core.conflicts.apart, 1.0)
+        return core.conflicts.shares(core.receivers, doubts_imu=bank.members[0].doubts_imu)
 
     @property
     def step_covariance(self) -> Array | None:
@@ -152,7 +158,8 @@ class Tracker:
     def shows_mixture(self) -> bool:
         """The covariance shown is the mixture of the hypotheses."""
         core, factor = self.core, self.core.variance_factor
-        is_plain = core.is_aligned and not core.conflicts.apart and self.alignment.without_sensor is None
+        agree = not core.conflicts.apart and core.conflicts.between is None
+        is_plain = core.is_aligned and agree and self.alignment.without_sensor is None
         steps = any(step.followed for step in self.speed_steps.values())
         has_past = self.alignment.bank is not None and self.alignment.bank.members[0].past is not None
         return is_plain and not has_past and not factor.lasting > factor.value and not steps
@@ -207,7 +214,7 @@ class Tracker:
         return [
             *([remarks.two_headings(two)] if two is not None and undecided else ()),
             *filter(None, (self._conflict(), remarks.heading(beside.topic) if beside is not None else "")),
-            *(remarks.apart(core.conflicts.apart) if core.is_aligned and not self._conflict() else ()),
+            *(remarks.apart(core.conflicts.apart, self._undecided) if core.is_aligned and not self._conflict() else ()),
             *remarks.frames(self.frames),
             *remarks.drifts(core.hypotheses),
             *remarks.wrong(self.sources),
@@ -300,7 +307,7 @@ class Tracker:
             return Decision(Reason.HELD, detail=held.SAYS)
         if why := self._in_other_frame(aid, z, samples):
             if self.sources.get(aid.topic, _UNKNOWN).fused_ns > NEVER:
-                self._leave(self.receiver_n)
+                self._leave(aid)
             self.sources[aid.topic] = _UNKNOWN
             return Decision(Reason.IMPLAUSIBLE, detail=why)
         if isinstance(z, Heading):
@@ -412,13 +419,16 @@ class Tracker:
         may_be_late = apart is None or delay.explains(apart.off, apart.s, core.hypotheses.lead.x)
         if trusted and may_be_late and (aid.absolute or aid.receiver):
             weight = self.lasting[aid.topic].weight if aid.topic in self.lasting else 1.0
-            self.delays = delay.noted(aid, verdict.seen, verdict.gate, self.delays, core.hypotheses.members, weight)
+            self.delays = delay.noted(aid, verdict.seen, verdict.gate, self.delays, core.hypotheses.members, weight, alone=alone)
             if aid.absolute and (aid.delay_sigma_s or alone):
                 self.late_cov = self.delays[aid.witness].covariance(aid.delay_sigma_s, core.hypotheses.lead.x[X.V])
             if self.delays[aid.witness].is_state:
                 core.stretch = None  # a run would leave the delay out
         is_rejected = aid.topic in core.hypotheses.members[0].rejected
-        core.conflicts = core.conflicts.judged(aid, z, core.hypotheses.lead.x[X.P], is_rejected=is_rejected)
+        core.conflicts = core.conflicts.judged(aid, z, core.hypotheses.lead.x[X.P], verdict.seen.nu, is_rejected=is_rejected)
+        if not aid.geodetic and core.conflicts.outvotes(aid.topic):
+            core.hypotheses.lead_from(aid, z, gyro_b)
+            core.variance_factor, core.conflicts = NO_EXCESS, Conflicts()
         core.hypotheses.drop(lambda member: bool(self.violation(member.filter)))
         sigma = np.sqrt(verdict.seen.s.diagonal())
         if verdict.fused:
@@ -509,8 +519,6 @@ class Tracker:
 
     def _in_other_frame(self, aid: Aid, z: Measurement, samples: ImuBuffer) -> str:
         """What the fixes of the source give in place of north, east and down in metres; "" for nothing."""
-        if aid.geodetic and isinstance(z, Position) and len(z.rows) == _XYZ:
-            self.receiver_n = z.z_n
         if not (aid.absolute and isinstance(z, Pose) and z.attitude == "full" and len(z.rows) == 2 * _XYZ):
             return ""
         known = self.frames.get(aid.topic)
@@ -519,24 +527,27 @@ class Tracker:
             self.frames = {**self.frames, aid.topic: now}
         return now.says or ""
 
-    def _leave(self, position_n: Array | None) -> None:
-        """Begin again from the position of a receiver, or from nothing."""
+    def _leave(self, aid: Aid) -> None:
+        """Go on as the hypothesis that is nearest to the newest position of another source, or begin again."""
         core = self.core
-        core.variance_factor = NO_EXCESS
-        if not core.is_aligned or core.hypotheses is None or position_n is None:
+        core.variance_factor, core.conflicts = NO_EXCESS, core.conflicts.without(aid.topic)
+        place = max(core.conflicts.newest.values(), key=lambda place: place.t_ns, default=None)
+        if not core.is_aligned or core.hypotheses is None or place is None or aid.t_ns - place.t_ns > VOUCHED_NS:
             self.alignment.begin_again()
             return
-        del core.hypotheses.members[1:]
-        lead, core.stretch = core.hypotheses.lead, None
-        off = position_n - lead.x[X.P]
-        core.hypotheses.members[0].doubts.clear()
-        core.hypotheses.members[0].without = ""
-        lead.widen(max(1.0, float(np.linalg.norm(off) / np.sqrt(np.trace(lead.cov[E.P, E.P])))))
+        position_n = core.hypotheses.lead.x[X.P] + place.off
+        nearest = min(core.hypotheses.members, key=lambda m: float(np.linalg.norm(position_n - m.filter.x[X.P])))
+        core.hypotheses.drop(lambda member: member is not nearest)
+        core.stretch = None
+        nearest.doubts.clear()
+        nearest.without, nearest.past = "", None
+        off = position_n - nearest.filter.x[X.P]
+        nearest.filter.widen(max(1.0, float(np.linalg.norm(off) / np.sqrt(np.trace(nearest.filter.cov[E.P, E.P])))))
 
     def _vouched(self, aid: Aid) -> bool:
         """Whether another source gave positions lately, or since a receiver's speed has stepped: an IMU's error grows."""
         others, step = self.core.absolute - {aid.topic}, self.speed_steps.get(aid.topic)
-        within_ns = _PULLED_NS if step is not None and step.net.any() else remarks.VOUCHED_NS
+        within_ns = _PULLED_NS if step is not None and step.net.any() else VOUCHED_NS
         return any(aid.t_ns - self.sources.get(topic, _UNKNOWN).fused_ns < within_ns for topic in others)
 
     def _note_absolute(self, aid: Aid, z: Measurement) -> None:

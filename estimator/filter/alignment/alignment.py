@@ -74,7 +74,7 @@ class Alignment:
         self.shows_unaligned = False
         self.contradiction = NO_CONTRADICTION
         self.given_up = 0  # how often a filter was
-        self.begun_by = ""  # the source at whose position the newest filter begins
+        self.begun_by, self.begun_ns = "", NEVER  # the source at whose position the newest filter begins, and its newest pose
         self.direction: tuple[float, ...] = ()  # of the newest innovation of an absolute source during the alignment
         self.persisted = False  # it and the one before point the same way
         self.plausibility = Plausibility(Phase.STARTING, _NO_START)
@@ -119,6 +119,8 @@ class Alignment:
         if core.hypotheses is None and not (samples.count and core.t_ns > samples.t_ns[0] - core.gap_ns):
             return Decision(Reason.ALIGNING, detail=_BEFORE_IMU)
         whole = isinstance(z, Pose) and z.attitude == "full" and aid.absolute
+        if whole and core.hypotheses is not None and aid.topic != self.begun_by and core.t_ns - self.begun_ns < _FRESH_NS:
+            return Decision(Reason.ALIGNING, detail=f"{self.begun_by} aligns first")  # the two may contradict each other
         if whole or core.hypotheses is None:
             stretch = core.recent(samples)
             at = None
@@ -134,7 +136,7 @@ class Alignment:
                     self.plausibility = Plausibility(Phase.ACTIVE, contradiction.SAYS)
                     return Decision(Reason.ALIGNING, detail=contradiction.SAYS)
                 if core.hypotheses is None or len(core.hypotheses.members) > 1:
-                    self.begun_by = aid.topic
+                    self.begun_by, self.begun_ns = aid.topic, core.t_ns
                     core.hypotheses = initialise.start_from_pose(core.t_ns, z, core.constants, config, aid)
                     core.stretch = Stretch.of(core.hypotheses.lead)
                     return Decision(Reason.ALIGNING)
@@ -149,6 +151,8 @@ class Alignment:
             self.begun_by = aid.topic
             return Decision(Reason.ALIGNING)
         self._go_on(aid, z, samples, gyro_b)
+        if whole and aid.topic == self.begun_by:
+            self.begun_ns = core.t_ns
         return Decision(Reason.ALIGNING)
 
     def take_prior(self, aid: Aid, z: Measurement) -> Decision:
@@ -211,7 +215,7 @@ class Alignment:
                 core.note_variance(aid, seen, LARGEST if lasts else LARGEST_AT_FIRST)
             disagrees = seen.distance2 * core.variance_factor.value > limit
             if persists or not disagrees:
-                core.conflicts = core.conflicts.compared(aid, z, core.hypotheses.lead.x[X.P], disagrees=disagrees)
+                core.conflicts = core.conflicts.compared(aid, z, core.hypotheses.lead.x[X.P], seen.nu, disagrees=disagrees)
         self._note_contradiction(aid, z, foreseen=foreseen)
         if core.hypotheses is None:
             return

@@ -235,6 +235,14 @@ class Hypotheses:
                 self.switches += 1
                 return
 
+    def lead_from(self, aid: Aid, z: Measurement, gyro_b: Array) -> None:
+        """More sources contradict the estimate than support it: one that begins at their reading leads alone."""
+        lead, limit = self.members[0], gate(aid.rules.gate_probability, len(z.rows))
+        if (newborn := follower.begin(lead, aid, z, gyro_b, limit, vouched=True)) is not None and newborn.right is not None:
+            newborn.adopt(newborn.right, doubts_imu=False)
+            newborn.weight, newborn.benefit, newborn.past = 0.0, 0.0, None
+            self.members, self.switches = [newborn], self.switches + 1
+
     def weigh(self, t_ns: int, gained: list[float]) -> None:
         """w_k <- w_k + gained_k (ln); the heaviest leads."""
         for member, more in zip(self.members, gained, strict=True):

@@ -5,6 +5,10 @@
     J' = E[nu tau] / s0^2,   A = sum J'^T S^-1 J',   b = sum J'^T S^-1 nu,   b / sqrt(A) ~ N(0, 1) where tau = 0
     P <- P + E[tau^2] v v^T,   E[tau^2] = 1 / (A + s^-2) + (b / (A + s^-2))^2
 
+Beside another source, a constant difference of the two positions c ~ N(0, 3 m) explains them too, nu = J' tau + c + e:
+
+    A <- A - B^T (C + I / 3^2)^-1 B,   b <- b - B^T (C + I / 3^2)^-1 d,   C, B, d = sum (S^-1)_pp, (S^-1 J')_p, (S^-1 nu)_p
+
 s0: negligible sigma of tau, considered; s: configured. Beyond the limit tau becomes a state with estimate b / A. A filter aligned
 with this source alone, or relinearised, knows x(t - tau): E[dx tau] / s0^2 = dx / dt. (Rao 1948; Friedland 1969.)
 """
@@ -30,6 +34,8 @@ _ANEW_S = 60.0  # the sums begin anew
 _SIGMAS = 6.0
 _FEWEST = 3  # readings
 _LONGEST_S = 0.5  # no longer delay is found
+_APART_M = 3.0  # sigma of the difference of two sources' positions: MAP_M of the faults
+_EARLY_S = 0.02  # by so much clocks may differ
 _KNOWN_S = 0.02  # sigma of tau that the sums must reach
 _SIGMA_S = 0.1  # of tau, to begin with, where it is a state
 _PROBE_S = 1e-4  # s0: less than the motion of any vehicle shows
@@ -38,13 +44,13 @@ _STATE, _PROBE = np.array([[_SIGMA_S**2]]), np.array([[_PROBE_S**2]])
 _G_N = np.array([0.0, 0.0, GRAVITY])
 _AT_IMU = np.zeros(3)
 _COUNTS_M2 = 1e-3  # less is not worth the time of an estimate
-_XYZ = 3
+_XYZ, _TINY = 3, 1e-12
 
 
 class Delay(NamedTuple):
     """Sums of one source since since_ns, and number of readings; is_state: the delay is estimated.
 
-    before: information and score of the previous minute.
+    before: information and score of the previous minute; offset (3, 5): B, C, d.
     """
 
     since_ns: int
@@ -53,27 +59,39 @@ class Delay(NamedTuple):
     readings: int = 0
     is_state: bool = False
     before: tuple[float, float] = (0.0, 0.0)
+    offset: Array | None = None
+
+    @property
+    def evidence(self) -> tuple[float, float]:
+        """A and b."""
+        if self.offset is None:
+            return self.information, self.score
+        left = np.linalg.solve(self.offset[:, 1:4] + np.eye(_XYZ) / _APART_M**2, self.offset[:, [0, 4]])
+        by_offset, score = (self.offset[:, 0] @ left).tolist()
+        return max(self.information - by_offset, _TINY), self.score - score
 
     def covariance(self, sigma_s: float, v_n: Array) -> Array | None:
         """E[tau^2] v v^T of the position, (3, 3), prior sigma_s; None where negligible."""
         if self.is_state or not sigma_s:
             return None
-        information, score = max((self.information, self.score), self.before)
+        information, score = max(self.evidence, self.before)
         information += sigma_s**-2
         variance = 1.0 / information + (score / information) ** 2
         if variance * math.hypot(*v_n.tolist()) ** 2 <= _COUNTS_M2:
             return None
         return variance * (v_n[:, None] * v_n)
 
-    def also(self, t_ns: int, seen: Innovation, column: int, gate: float = math.inf, weight: float = 1.0) -> "Delay":
+    def also(
+        self, t_ns: int, seen: Innovation, column: int, gate: float = math.inf, weight: float = 1.0, *, apart: bool = False
+    ) -> "Delay":
         """The evidence with one more innovation; column: of tau in P; weight: of a reading that shares errors with the last.
 
-        gate: a reading beyond it counts only where it shows a delay by itself.
+        gate: a reading beyond it counts only where it shows a delay by itself; apart: of a position, beside another source.
         """
         if self.is_state:
             return self
         is_new = not 0.0 <= (t_ns - self.since_ns) * 1e-9 < _ANEW_S
-        sums = Delay(t_ns, before=(self.information, self.score)) if is_new else self
+        sums = Delay(t_ns, before=self.evidence) if is_new else self
         information, score = _score(seen.nu, seen.s, seen.hp, column)
         if math.isnan(information):
             return sums
@@ -84,8 +102,15 @@ class Delay(NamedTuple):
             if left > gate or score**2 < _SIGMAS**2 * information or abs(score) > _LONGEST_S * information:
                 return sums
         readings = sums.readings + 1
+        offset = sums.offset
+        if apart:
+            w = weight * np.linalg.solve(seen.s, np.eye(len(seen.nu), _XYZ)).T
+            more = np.column_stack((w @ seen.hp[:, column] / _PROBE_S**2, w[:, :_XYZ], w @ seen.nu))
+            offset = more if offset is None else offset + more
+        now = Delay(sums.since_ns, total, scores, readings, False, sums.before, offset)
+        total, scores = now.evidence
         shown = readings >= _FEWEST and total * _KNOWN_S**2 > 1.0 and scores**2 > _SIGMAS**2 * total
-        return Delay(sums.since_ns, total, scores, readings, shown, sums.before)
+        return now._replace(is_state=shown)
 
 
 Delays: TypeAlias = dict[str, Delay]  # by topic of the source, or of its receiver's positions
@@ -119,14 +144,24 @@ def explains(off: Array, s: Array, x: Array) -> bool:
     return float(np.linalg.norm(off)) <= _LONGEST_S * float(np.linalg.norm(x[X.V])) + 3.0 * math.sqrt(float(s.trace()))
 
 
-def noted(aid: Aid, seen: Innovation, gate: float, delays: Delays, members: Sequence[Hypothesis], weight: float = 1.0) -> Delays:
-    """After a reading of the leading filter; a detected delay becomes a state of each filter."""
+def noted(
+    aid: Aid, seen: Innovation, gate: float, delays: Delays, members: Sequence[Hypothesis], weight: float = 1.0, *, alone: bool
+) -> Delays:
+    """After a reading of the leading filter; a detected delay becomes a state of each filter.
+
+    Not one by which the reading came before it was valid, unless the source is alone: then another source, or the IMU, is late.
+    """
     topic = aid.witness
     before = delays.get(topic) or Delay(aid.t_ns)
     name, lead = block(topic), members[0].filter
     now = before
     if not before.is_state and name in lead.slow.columns and lead.slow.columns[name].stop <= seen.hp.shape[1]:
-        now = before.also(aid.t_ns, seen, lead.slow.columns[name].start, gate, weight)
+        apart = aid.absolute and not alone and len(seen.nu) >= _XYZ
+        now = before.also(aid.t_ns, seen, lead.slow.columns[name].start, gate, weight, apart=apart)
+    if now.is_state and not before.is_state and not alone:
+        information, score = now.evidence
+        is_early = score < -(_EARLY_S + (aid.arrived_ns - aid.t_ns) * 1e-9) * information
+        now = now._replace(is_state=not is_early)
     if now.is_state and not before.is_state:
         for member in members:
             if name in member.filter.slow.columns:
@@ -171,7 +206,8 @@ def estimate(eskf: Eskf, topic: str, found: Delay) -> None:
     v = eskf.cov[:, at] / eskf.cov[at, at]
     eskf.cov += (_SIGMA_S**2 - eskf.cov[at, at]) * np.outer(v, v)
     eskf.slow = eskf.slow.as_state(block(topic), _WALK)
-    nu, noise, h = np.array([found.score / found.information]), np.array([[4.0 / found.information]]), np.zeros((1, len(v)))
+    information, score = found.evidence
+    nu, noise, h = np.array([score / information]), np.array([[4.0 / information]]), np.zeros((1, len(v)))
     h[0, at] = 1.0
     for part in (E.P, E.V, E.THETA, E.BG, E.BA):  # the correction is linear, and may be wrong by its own size
         eskf.cov[part, part] += float(nu[0]) ** 2 * float(v[part] @ v[part]) * np.eye(_XYZ)

@@ -7,7 +7,8 @@ gyroscope. M: signed permutation of north, east, down; k = 1, or a unit's. The a
 
     RSS(k M) = S_dd - 2 k tr(M^T S_da) + k^2 S_aa        (Umeyama 1991)
 
-Another frame: n ln RSS(I) / RSS(k M) > 20, and no linear map is better: n ln RSS(k M) / RSS < 5.
+Another frame: n ln RSS(I) / RSS(k M) > 20, and no linear map is better: n ln RSS(k M) / RSS < 5. A turn about the vertical alone
+shows nothing: the heading may be what is wrong.
 """
 
 import itertools
@@ -36,6 +37,7 @@ _MAPS = np.array(
     [np.diag(s) @ np.eye(3)[list(p)] for p in ((0, 1, 2), (1, 0, 2)) for s in itertools.product((1.0, -1.0), repeat=3)]
 )
 _CHANGES = 3.0 - np.trace(_MAPS, axis1=1, axis2=2)  # of two that are as good, the one with fewer
+_TURNS = (_CHANGES > 0.0) & (_MAPS[:, 2, 2] > 0.0) & (np.linalg.det(_MAPS) > 0.0)  # about the vertical
 _NAMES = (("north", "south"), ("east", "west"), ("down", "up"))
 _G = np.array([0.0, 0.0, GRAVITY])
 _CONSTANTS = imu.constants(imu.ImuNoise(), imu.Coast(), None)
@@ -86,10 +88,11 @@ class Moments(NamedTuple):
         free = 1.0 - np.einsum("vij,vij->v", s_da, s_da @ np.linalg.pinv(s_a, hermitian=True)) / s_d
         cost = n * np.log(np.maximum(left, _TINY)) + _CHANGES
         wrong = (self.left > _TURN_LEFT * self.rotation) | (np.abs(self.sums[:, 0, _XYZ]) > _HEAVY_M_S * n)
-        at = np.unravel_index(int(np.where((left > _LEFT) | wrong[:, None], math.inf, cost).argmin()), left.shape)
+        is_explained = (left < _LEFT) & ~wrong[:, None]
+        at = np.unravel_index(int(np.where(is_explained, cost, math.inf).argmin()), left.shape)
         best, asked = float(cost[at]), float(cost[0, 0, 0])
-        is_explained = left[at] < _LEFT[at[0]] and not wrong[at[1]]
-        if not is_explained or best > n * math.log(max(float(free[at[1]]), _TINY)) + _CHANGES[at[2]] + _WORSE:
+        is_turn = not at[0] and not at[1] and _TURNS[at[2]]
+        if not is_explained[at] or is_turn or best > n * math.log(max(float(free[at[1]]), _TINY)) + _CHANGES[at[2]] + _WORSE:
             return None
         cost[:, at[1], at[2]] = math.inf
         other = asked if any(at) else float(cost.min())

@@ -10,7 +10,7 @@ rho of R becomes a considered error that lasts; b covers the uncertainty of y. (
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace as replace_in
-from typing import NamedTuple
+from typing import NamedTuple, TypeGuard
 
 import numpy as np
 from msgspec.structs import replace
@@ -64,7 +64,7 @@ class Lasting(NamedTuple):
 
 def carried(aid: Aid, z: Measurement, known: Mapping[str, Lasting]) -> tuple[Aid, Measurement]:
     """The fix with the share of R that lasts among its slow errors: R = E R E + D R D, D^2 = rho, E^2 = 1 - rho."""
-    if (of := known.get(aid.topic)) is None or not isinstance(z, Pose) or not any(of.shares):
+    if (of := known.get(aid.topic)) is None or not _is_whole(z) or not any(of.shares):
         return aid, z
     shares = np.repeat(of.shares, _XYZ)
     lasts, own = np.sqrt(shares), np.sqrt(1.0 - shares)
@@ -75,9 +75,13 @@ def carried(aid: Aid, z: Measurement, known: Mapping[str, Lasting]) -> tuple[Aid
 def noted(aid: Aid, z: Measurement, nu: Sequence[float], known: Mapping[str, Lasting]) -> Mapping[str, Lasting]:
     """After a fix with the innovation nu, as it came."""
     block = f"{aid.topic}.look"
-    if not (aid.absolute and isinstance(z, Pose) and len(nu) == 2 * _XYZ) or any(e.block == block for e in aid.slow_errors):
+    if not (aid.absolute and _is_whole(z) and nu) or any(e.block == block for e in aid.slow_errors):
         return known
     return {**known, aid.topic: known.get(aid.topic, Lasting(aid.t_ns)).also(aid.t_ns, np.array(nu), z.noise)}
+
+
+def _is_whole(z: Measurement) -> TypeGuard[Pose]:
+    return isinstance(z, Pose) and len(z.rows) == 2 * _XYZ
 
 
 def _ln(distance2: float) -> float:

@@ -32,14 +32,15 @@ _S = np.diag([1.0, 4.0, 9.0])
 
 
 def _apart(off: tuple[float, float, float], lasts_s: float = 5.0) -> Apart:
-    return Apart(EPOCH_NS, EPOCH_NS + round(lasts_s * 1e9), np.array(off), _S)
+    return Apart(EPOCH_NS, EPOCH_NS + round(lasts_s * 1e9), np.array(off), _S, 9)
 
 
 def test_what_is_added_is_the_share_of_a_mixture_and_fades_with_the_distance() -> None:
     d = np.array([5.0, 0.0, 0.0])
     expected = 0.05 * math.exp(-((5.0 / 20.0) ** 2)) * (_S + np.outer(d, d))
-    np.testing.assert_allclose(_apart((5.0, 0.0, 0.0)).added, expected)
-    reach = [2.8 * math.sqrt(_apart((off, 0.0, 0.0)).added[0, 0]) for off in (5.0, 20.0, 200.0)]
+    np.testing.assert_allclose(_apart((5.0, 0.0, 0.0)).added(_apart((5.0, 0.0, 0.0)).by_map), expected)
+    found = [_apart((off, 0.0, 0.0)) for off in (5.0, 20.0, 200.0)]
+    reach = [2.8 * math.sqrt(apart.added(apart.by_map)[0, 0]) for apart in found]
     assert 5.0 / 3.0 < reach[0] < 5.0  # an error of 5 m is within three times the 95 % radius
     assert 20.0 / 3.0 < reach[1] < 8.0
     assert reach[2] < 1e-6
@@ -69,24 +70,79 @@ def _gnss(t_s: float, north_m: float) -> tuple[Aid, Measurement]:
     return aid, z
 
 
+def _fix(fix: PoseFix) -> tuple[Aid, Measurement]:
+    aid = aid_of(fix)
+    z = aid.measurement(None)
+    assert z is not None
+    assert not isinstance(z, tuple)
+    return aid, z
+
+
 def _rejected(until_s: float, north_m: float = 5.0) -> Conflicts:
     found = Conflicts()
     for k in range(int(5 * until_s) + 1):
-        found = found.judged(*_gnss(0.2 * k, north_m), HERE, is_rejected=True)
+        found = found.judged(*_gnss(0.2 * k, north_m), HERE, HERE, is_rejected=True)
     return found
 
 
-def test_it_counts_once_it_lasts_and_before_a_decision_at_once_and_wholly() -> None:
-    assert not _rejected(0.8).added(is_decided=True).any()
+def test_a_receiver_that_fixes_refuse_counts_once_it_lasts() -> None:
+    assert not _rejected(0.8).added({}).any()
     lasting = _rejected(1.0)
-    np.testing.assert_allclose(lasting.added(is_decided=True), lasting.apart["/gnss"].added)
-    assert lasting.added(is_decided=True)[0, 0] > 1.0
-    np.testing.assert_allclose(_rejected(0.2).added(is_decided=False)[0, 0], 25.0, rtol=1e-3)
+    np.testing.assert_allclose(lasting.added({}), lasting.apart["/gnss"].added(lasting.apart["/gnss"].by_map))
+    assert lasting.added({})[0, 0] > 1.0
+
+
+def _places(*of: tuple[str, float], seconds: float = 5.0, every_s: float = 0.5) -> Conflicts:
+    """Sources so far north of the estimate; those further than 3 m are rejected."""
+    found = Conflicts()
+    for k in range(int(seconds / every_s) + 1):
+        for topic, north_m in of:
+            if topic == "/gnss":
+                aid, z = _gnss(every_s * k, north_m)
+            else:
+                t_ns = EPOCH_NS + round(every_s * k * 1e9)
+                aid, z = _fix(replace(pose_fix(t_ns, (north_m, 0.0, 0.0)), topic=topic))
+            found = found.judged(aid, z, HERE, HERE, is_rejected=abs(north_m) > 3.0)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("found", "shares"),
+    [
+        (_places(("/a", 0.0), ("/b", 50.0)), {"/b": 1 / 2}),
+        (_places(("/a", 0.0), ("/b", 50.0), seconds=1.0), {}),
+        (_places(("/a", 0.0), ("/gnss", 50.0)), {}),
+        (_places(("/gnss", 0.0), ("/b", 50.0)), {"/b": 1 / 2}),
+        (_places(("/a", 0.0), ("/gnss", 0.5), ("/b", 50.0)), {}),
+        (_places(("/a", 0.0), ("/gnss", 49.0), ("/b", 50.0), seconds=0.0), {"/b": 2 / 3, "/gnss": 2 / 3}),
+        (_places(("/a", 0.0), ("/gnss", 2.9), ("/b", 5.0)), {"/b": 2 / 3}),
+        (_places(("/a", 0.0), ("/b", 50.0), ("/c", -50.0)), {"/b": 1 / 2, "/c": 1 / 2}),
+    ],
+    ids=["one-to-one", "too-short", "receiver", "receiver-leads", "outvoted", "two-to-one", "receiver-nearer", "all-differ"],
+)
+def test_witnesses_decide_by_their_number(found: Conflicts, shares: dict[str, float]) -> None:
+    assert found.shares({"/gnss"}, doubts_imu=False) == pytest.approx(shares)
+
+
+def test_an_imu_that_contradicts_the_estimate_is_a_witness_and_a_source_is_forgotten() -> None:
+    assert _places(("/a", 0.0), ("/gnss", 50.0), seconds=0.0).shares({"/gnss"}, doubts_imu=True) == pytest.approx(
+        {"/gnss": 2 / 3}
+    )
+    assert not _places(("/a", 0.0), ("/b", 50.0)).without("/b").apart
+    assert _places(("/a", 0.0), ("/b", 50.0)).without("/a").shares(set(), doubts_imu=False) == {"/b": 1.0}
+
+
+def test_positions_that_do_not_agree_with_one_another_are_no_witness() -> None:
+    found, rng = Conflicts(), np.random.default_rng(1)
+    for k in range(40):
+        north, east, down = 100.0 * rng.standard_normal(3)
+        found = found.judged(*_fix(pose_fix(EPOCH_NS + k * SECOND, (north, east, down))), HERE, HERE, is_rejected=True)
+        assert not found.shares(set(), doubts_imu=False)
 
 
 @pytest.mark.parametrize(("north_m", "goes_on"), [(4.0, True), (0.5, False)])
 def test_it_goes_on_until_a_position_is_near_also_where_the_position_is_accepted(north_m: float, goes_on: bool) -> None:
-    after = _rejected(1.0).judged(*_gnss(2.0, north_m), HERE, is_rejected=False)
+    after = _rejected(1.0).judged(*_gnss(2.0, north_m), HERE, HERE, is_rejected=False)
     assert ("/gnss" in after.apart) == goes_on
 
 
@@ -97,22 +153,19 @@ def test_a_receiver_whose_velocity_was_just_rejected_is_in_conflict(ago_s: float
     z = velocity.measurement(ORIGIN)
     assert z is not None
     assert not isinstance(z, tuple)
-    found = Conflicts().judged(velocity, z, HERE, is_rejected=True)
-    found = found.judged(*_gnss(ago_s, 5.0), HERE, is_rejected=False)
+    found = Conflicts().judged(velocity, z, HERE, HERE, is_rejected=True)
+    found = found.judged(*_gnss(ago_s, 5.0), HERE, HERE, is_rejected=False)
     assert ("/gnss" in found.apart) == counts
 
 
 def test_a_pose_fix_counts_as_long_as_it_is_rejected_and_none_of_the_alignment_stays() -> None:
-    aid = aid_of(pose_fix(EPOCH_NS, (5.0, 0.0, 0.0)))
-    z = aid.measurement(None)
-    assert z is not None
-    assert not isinstance(z, tuple)
-    rejected = Conflicts().judged(aid, z, HERE, is_rejected=True)
+    aid, z = _fix(pose_fix(EPOCH_NS, (5.0, 0.0, 0.0)))
+    rejected = Conflicts().judged(aid, z, HERE, HERE, is_rejected=True)
     assert "/pose_fix" in rejected.apart
-    assert not rejected.judged(aid, z, HERE, is_rejected=False).apart
-    aligning = Conflicts().compared(aid, z, HERE, disagrees=True)
+    assert not rejected.judged(aid, z, HERE, HERE, is_rejected=False).apart
+    aligning = Conflicts().compared(aid, z, HERE, HERE, disagrees=True)
     assert "/pose_fix" in aligning.apart
-    assert not aligning.judged(aid, z, HERE, is_rejected=False).apart
+    assert not aligning.judged(aid, z, HERE, HERE, is_rejected=False).apart
 
 
 def test_heights_of_another_datum_do_not_keep_the_alignment_from_its_end() -> None:

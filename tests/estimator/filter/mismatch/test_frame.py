@@ -12,13 +12,13 @@ from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.mismatch import Frame
 from estimator.filter.mismatch.frame import Moments, Way
 from models.frames import ENU_FROM_NED, FLU_FROM_FRD
-from models.messages import ImuSample, Input, PoseFix, Reason, vec3
+from models.messages import GnssFix, ImuSample, Input, PoseFix, Reason, vec3
 from models.sim.scenario import EPOCH_NS, Simulation
 from tests.estimator.scenes import SECOND, fly, position_errors, radii, simulated, within
 
 Change = Callable[[PoseFix], PoseFix]
 _FLIGHT = 'duration_s = 60.0\n[vehicle]\nkind = "{kind}"\n[imu]\nrate_hz = 100.0\n[pose_fix]\nrate_hz = 2.0\n'
-SWAPPED = "positions are (east, north, up)"
+SWAPPED, OTHER = "positions are (east, north, up)", "/other"
 
 
 @pytest.fixture(scope="module", params=["multirotor", "fixed_wing"])
@@ -91,7 +91,6 @@ def test_a_turn_that_no_exchange_of_axes_makes_is_none() -> None:
     [
         (lambda f: _moved(f, ENU_FROM_NED), SWAPPED),
         (lambda f: _moved(f, np.diag([1.0, -1.0, 1.0])), "positions are (north, west, down)"),
-        (lambda f: _moved(f, np.diag([-1.0, -1.0, 1.0])), "positions are (south, west, down)"),
         (_enu, f"{SWAPPED}, its attitudes are in ENU and FLU"),
         (lambda f: _moved(f, 100.0 * np.eye(3)), "the metres: centimetres?"),
         (lambda f: _moved(f, np.eye(3) / 0.3048), "the metres: feet?"),
@@ -112,13 +111,27 @@ def test_fixes_in_other_axes_or_another_unit_are_named(flight: Simulation, chang
         _late,
         lambda f: _moved(f, 1.3 * np.eye(3)),
         lambda f: _turned(f, lambda R: Rotation.from_euler("z", 30.0, degrees=True) * R),
+        lambda f: _turned(f, lambda R: Rotation.from_euler("z", 90.0, degrees=True) * R),
+        lambda f: _moved(f, np.diag([-1.0, -1.0, 1.0])),
         lambda f: _turned(f, lambda R: R * Rotation.from_euler("y", 15.0, degrees=True)),
         lambda f: _turned(f, lambda R: R.inv()),
         lambda f: replace(f, q_nb_wxyz=(1.0, 0.0, 0.0, 0.0)),
         lambda f: _moved(f, np.zeros((3, 3))),
         lambda f: replace(f, p_n=vec3(np.random.default_rng(f.t_ns).normal(0.0, 9.0, 3))),
     ],
-    ids=["sound", "late", "scaled", "heading", "camera", "inverse", "no-attitude", "nowhere", "noise"],
+    ids=[
+        "sound",
+        "late",
+        "scaled",
+        "heading",
+        "quarter-turn",
+        "half-turn",
+        "camera",
+        "inverse",
+        "no-attitude",
+        "nowhere",
+        "noise",
+    ],
 )
 def test_nothing_else_is_taken_for_a_frame(flight: Simulation, change: Change) -> None:
     assert not _said(flight.messages, change)
@@ -162,8 +175,11 @@ def test_a_flight_with_fixes_in_other_axes_alone_ends_the_estimate_with_the_reas
     assert run.internal_errors() == []
 
 
-def test_beside_a_receiver_it_leads() -> None:
-    flight = simulated("duration_s = 60.0\n[imu]\nrate_hz = 100.0\n[gnss]\nrate_hz = 5.0\n[pose_fix]\nrate_hz = 2.0\n", seed=3)
+_TWO = "duration_s = 60.0\n[imu]\nrate_hz = 100.0\n[gnss]\nrate_hz = 5.0\n[pose_fix]\nrate_hz = 2.0\n"
+
+
+def test_a_receiver_leads() -> None:
+    flight = simulated(_TWO, seed=3)
     scale = 100.0 * np.eye(3)
     run = fly(flight, messages=[_moved(m, scale) if isinstance(m, PoseFix) else m for m in flight.messages])
     found = within(run.estimates, 5.0, 60.0)
@@ -172,3 +188,28 @@ def test_beside_a_receiver_it_leads() -> None:
     assert "centimetres?" in run.health[-1].detail
     assert math.isfinite(run.health[-1].radius95_m)
     assert run.internal_errors() == []
+
+
+def test_another_source_of_fixes_goes_on() -> None:
+    """The wrong one came first and led."""
+    flight = simulated(_FLIGHT.format(kind="fixed_wing"), seed=3)
+    wrong = [_moved(replace(m, topic=OTHER), ENU_FROM_NED) for m in flight.messages if isinstance(m, PoseFix)]
+    messages = sorted([*flight.messages, *wrong], key=lambda m: m.t_ns)
+    run = fly(flight, messages=messages)
+    found = within(run.estimates, 40.0, 60.0)
+    assert position_errors(found, flight.truth).max() < 2.0
+    assert radii(found).max() < 3.0
+    assert f"{OTHER} is" not in run.health[-1].detail
+    assert "positions are" in run.health[-1].detail
+
+
+def test_a_receiver_that_was_lost_long_ago_keeps_nothing() -> None:
+    flight = simulated(_TWO.replace("[imu]", '[vehicle]\nkind = "fixed_wing"\n[imu]'), seed=3)
+    early = EPOCH_NS + 2 * SECOND
+    messages = [
+        _moved(m, ENU_FROM_NED) if isinstance(m, PoseFix) else m
+        for m in flight.messages
+        if not (isinstance(m, GnssFix) and m.t_ns > early)
+    ]
+    run = fly(flight, messages=messages)
+    assert not within(run.estimates, 50.0, 60.0)

@@ -77,6 +77,16 @@ def test_the_variance_that_a_fix_reports_is_divided_and_a_division_that_is_confi
     assert lasting.noted(configured, z, (0.0,) * 6, known) is known
 
 
+def test_a_fix_in_part_stays_as_it_is() -> None:
+    covariance = np.diag([0.01] * 5 + [np.nan])
+    aid = aid_of(replace(pose_fix(EPOCH_NS), covariance=covariance))
+    z = aid.measurement(None)
+    assert isinstance(z, Pose)
+    known = {aid.topic: _after(SIGMA * _course(400, 0.97, 3))}
+    assert lasting.carried(aid, z, known) == (aid, z)
+    assert lasting.noted(aid, z, (0.0,) * 5, known) is known
+
+
 def _flown(shift: Sequence[Array] | None, claimed: float = 1.0) -> tuple[Simulation, list[Input]]:
     toml = "duration_s = 50.0\n[imu]\nrate_hz = 100.0\n[pose_fix]\nrate_hz = 20.0\nsigma_m = [{0}, {0}, {0}]\n"
     flight = simulated(toml.format(0.2 if shift is None else 0.005), seed=2)
@@ -107,7 +117,7 @@ def test_correlated_fixes_are_not_averaged_away(seed: int) -> None:
     assert run.internal_errors() == []
 
 
-def test_white_fixes_are() -> None:
+def test_white_fixes_are_averaged() -> None:
     flight, messages = _flown(None)
     run = fly(flight, messages=messages)
     assert np.median(radii(within(run.estimates, SETTLED_S, 50.0))) < 0.25
