@@ -6,6 +6,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
+import msgspec
+
 from estimator.frontend.requests import Pair, Pairing, Shot, Track, VisionConfig
 from logs.store.parts import PartsReader
 from logs.store.reader import Record
@@ -24,10 +26,25 @@ class Asked(NamedTuple):
     answers: list[Encoded]
 
 
-class Repeat(ABC):
-    """Puts answers among a log's records; topics: left, right images."""
+class Counts(msgspec.Struct):
+    """said: with {asked}, {measured}; noun: of a measurement; same, different: from the log's; missing: images."""
 
-    counts: object
+    said: str
+    noun: str
+    asked: int = 0
+    measured: int = 0
+    same: int = 0
+    different: int = 0
+    missing: int = 0
+
+    def __str__(self) -> str:
+        compared = f"; of the log's {self.noun} {self.same} the same, {self.different} not" if self.same or self.different else ""
+        lost = f"; images of {self.missing} requests are not in the log" if self.missing else ""
+        return self.said.format(asked=self.asked, measured=self.measured) + compared + lost
+
+
+class Repeat(ABC):
+    """Puts answers among a log's records; topics: left, right images; measurement: topic of what is measured."""
 
     def __init__(
         self,
@@ -36,7 +53,10 @@ class Repeat(ABC):
         topics: tuple[Iterable[str], Iterable[str]],
         source: Path | Sequence[Path],
         request_topic: str,
+        measurement: str,
+        counts: Counts,
     ) -> None:
+        self.counts, self._measurement = counts, measurement
         self._time_offset_ns = time_offset_ns
         self._side = {**dict.fromkeys(topics[0], "left"), **dict.fromkeys(topics[1], "right")}
         self._request_topic = request_topic
@@ -96,6 +116,19 @@ class Repeat(ABC):
             if asked := self._ask(pair, record.log_time_ns):
                 yield Record(asked.request.topic, asked.request.schema, record.log_time_ns, asked.request.data)
                 self._due.append((record.log_time_ns + _LATENCY_NS, asked.answers))
+
+    def _counted(self, answers: list[Encoded]) -> list[Encoded]:
+        self.counts.asked += 1
+        self.counts.measured += any(a.topic == self._measurement for a in answers)
+        return answers
+
+    def _in_place(self, record: Record, answer: Encoded | None) -> Iterator[Record]:
+        """The answer, compared with the record."""
+        if record.topic == self._measurement and self._repeats:
+            self.counts.same += answer is not None and answer.data == record.data
+            self.counts.different += answer is None or answer.data != record.data
+        if answer is not None:
+            yield Record(answer.topic, answer.schema, record.log_time_ns, answer.data)
 
     def _pair(self, left: ImageName | None, right: ImageName | None) -> Pair | None:
         found = Pair(*(self._shots.get(name) if name else None for name in (left, right)))

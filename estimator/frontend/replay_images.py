@@ -5,10 +5,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-import msgspec
-
 from estimator.frontend.processor import Processor
-from estimator.frontend.repeat import Asked, Repeat
+from estimator.frontend.repeat import Asked, Counts, Repeat
 from estimator.frontend.requests import Pair, VisionConfig
 from logs.store.reader import Record
 from logs.wire.cameras import LEFT_TOPIC, RIGHT_TOPIC, STATIC_TOPIC, is_own_static
@@ -23,35 +21,18 @@ _ANSWERS: Final = frozenset({FIX_TOPIC, REPORT_TOPIC, LANDMARKS_TOPIC, LEFT_TOPI
 _UNSTAMPED: Final = frozenset({LANDMARKS_TOPIC, STATIC_TOPIC})  # whose stamps are not at the message's beginning
 
 
-class ImageCounts(msgspec.Struct):
-    """same, different: compared with the log's fixes; missing: images."""
-
-    processed: int = 0
-    fixes: int = 0
-    same: int = 0
-    different: int = 0
-    missing: int = 0
-
-    def __str__(self) -> str:
-        compared = f"; of the log's fixes {self.same} the same, {self.different} not" if self.same or self.different else ""
-        lost = f"; images of {self.missing} requests are not in the log" if self.missing else ""
-        return f"{self.processed} pairs processed, {self.fixes} fixes{compared}{lost}"
-
-
 class ImageReplay(Repeat):
     """Vision's answers among a log's records."""
-
-    counts: ImageCounts
 
     def __init__(
         self, processor: Processor, config: VisionConfig, left: Iterable[str], right: Iterable[str], source: Path | Sequence[Path]
     ) -> None:
-        super().__init__(config, processor.time_offset_ns, (left, right), source, VISION_REQUEST_TOPIC)
+        counts = Counts("{asked} pairs processed, {measured} fixes", "fixes")
+        super().__init__(config, processor.time_offset_ns, (left, right), source, VISION_REQUEST_TOPIC, FIX_TOPIC, counts)
         self._processor = processor
         self._asked: deque[VisionRequest] = deque()
         self._answers: dict[tuple[str, int], Encoded] = {}  # by topic and exposure
         self._answered_ns = 0  # exposure of the last
-        self.counts = ImageCounts()
 
     def _is_answer(self, record: Record) -> bool:
         return record.topic in _ANSWERS or (record.topic == STATIC_TOPIC and is_own_static(record.data))
@@ -71,12 +52,7 @@ class ImageReplay(Repeat):
         t_ns = self._answered_ns if record.topic in _UNSTAMPED else stamp_of(record.data)  # it follows report and fix
         while t_ns is not None and any(r.t_ns == t_ns for r in self._asked):
             self._answer(self._asked.popleft())
-        answer = self._answers.pop((record.topic, t_ns or 0), None)
-        if record.topic == FIX_TOPIC and self._repeats:
-            self.counts.same += answer is not None and answer.data == record.data
-            self.counts.different += answer is None or answer.data != record.data
-        if answer is not None:
-            yield Record(answer.topic, answer.schema, record.log_time_ns, answer.data)
+        yield from self._in_place(record, self._answers.pop((record.topic, t_ns or 0), None))
 
     def _answer(self, request: VisionRequest) -> None:
         self._answered_ns = request.t_ns
@@ -86,8 +62,3 @@ class ImageReplay(Repeat):
             return
         for message in self._counted(self._processor.process(request, (pair.left, pair.right))):
             self._answers[message.topic, request.t_ns] = message
-
-    def _counted(self, answers: list[Encoded]) -> list[Encoded]:
-        self.counts.processed += 1
-        self.counts.fixes += any(a.topic == FIX_TOPIC for a in answers)
-        return answers

@@ -4,11 +4,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TypeAlias
 
-import msgspec
-
 from estimator.frontend.key_frames import KeyFrames, VisualOdometryConfig
 from estimator.frontend.odometry import ODOMETRY_REPORT_TOPIC, OdometryProcessor
-from estimator.frontend.repeat import Asked, Repeat
+from estimator.frontend.repeat import Asked, Counts, Repeat
 from estimator.frontend.requests import Pair, VisionConfig
 from logs.store.reader import Record
 from logs.wire.codec import ODOMETRY_REQUEST_TOPIC, Encoded, decode_odometry_request, encode
@@ -18,25 +16,8 @@ from models.messages import ODOMETRY_DELTA_TOPIC, OdometryRequest
 _Answers: TypeAlias = dict[str, Encoded]
 
 
-class OdometryCounts(msgspec.Struct):
-    """steps: requests; measured: increments; same, different: against the log's."""
-
-    steps: int = 0
-    measured: int = 0
-    same: int = 0
-    different: int = 0
-    missing: int = 0
-
-    def __str__(self) -> str:
-        compared = f"; of the log's increments {self.same} the same, {self.different} not" if self.same or self.different else ""
-        lost = f"; images of {self.missing} requests are not in the log" if self.missing else ""
-        return f"odometry: {self.steps} steps, {self.measured} increments{compared}{lost}"
-
-
 class OdometryReplay(Repeat):
     """Visual odometry's answers among a log's records."""
-
-    counts: OdometryCounts
 
     def __init__(
         self,
@@ -46,11 +27,11 @@ class OdometryReplay(Repeat):
         topics: tuple[Iterable[str], Iterable[str]],
         source: Path | Sequence[Path],
     ) -> None:
-        super().__init__(vision, processor.time_offset_ns, topics, source, ODOMETRY_REQUEST_TOPIC)
+        counts = Counts("odometry: {asked} steps, {measured} increments", "increments")
+        super().__init__(vision, processor.time_offset_ns, topics, source, ODOMETRY_REQUEST_TOPIC, ODOMETRY_DELTA_TOPIC, counts)
         self._processor, self._key_frames = processor, KeyFrames(config)
         self._asked: dict[int, OdometryRequest] = {}  # by exposure of the later pair
         self._answers: dict[int, _Answers] = {}
-        self.counts = OdometryCounts()
 
     def _is_answer(self, record: Record) -> bool:
         return record.topic in {ODOMETRY_DELTA_TOPIC, ODOMETRY_REPORT_TOPIC} and (stamp_of(record.data) or 0) in self._asked
@@ -72,12 +53,7 @@ class OdometryReplay(Repeat):
         t_ns = stamp_of(record.data) or 0
         if t_ns not in self._answers:
             self._answers[t_ns] = self._answer(self._asked[t_ns])
-        answer = self._answers[t_ns].get(record.topic)
-        if record.topic == ODOMETRY_DELTA_TOPIC:
-            self.counts.same += answer is not None and answer.data == record.data
-            self.counts.different += answer is None or answer.data != record.data
-        if answer is not None:
-            yield Record(answer.topic, answer.schema, record.log_time_ns, answer.data)
+        yield from self._in_place(record, self._answers[t_ns].get(record.topic))
 
     def _answer(self, request: OdometryRequest) -> _Answers:
         first, second = (self._pair(*names) for names in (request.first, request.second))
@@ -85,8 +61,3 @@ class OdometryReplay(Repeat):
             self.counts.missing += 1
             return {}
         return {answer.topic: answer for answer in self._counted(self._processor.process(request, first, second))}
-
-    def _counted(self, answers: list[Encoded]) -> list[Encoded]:
-        self.counts.steps += 1
-        self.counts.measured += any(a.topic == ODOMETRY_DELTA_TOPIC for a in answers)
-        return answers

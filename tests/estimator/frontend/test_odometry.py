@@ -9,7 +9,8 @@ from estimator.config import Config, load
 from estimator.frontend.files import load_odometry
 from estimator.frontend.key_frames import KeyFrames, VisualOdometryConfig
 from estimator.frontend.odometry import ODOMETRY_REPORT_TOPIC, OdometryProcessor
-from estimator.frontend.replay_odometry import OdometryCounts, OdometryReplay
+from estimator.frontend.repeat import Counts
+from estimator.frontend.replay_odometry import OdometryReplay
 from estimator.frontend.requests import Pair, Shot, Track
 from estimator.replay.replay import replay
 from logs.store.reader import LogReader, Record
@@ -134,7 +135,7 @@ def _records(path: Path, topic: str) -> list[Record]:
         return [record for record in reader if record.topic == topic]
 
 
-def _again(source: Path, out: Path, config: Config) -> OdometryCounts:
+def _again(source: Path, out: Path, config: Config) -> Counts:
     assert config.rig.file is not None
     processor = load_odometry(source.parent / config.rig.file)
     topics = config.inputs.left_image, config.inputs.right_image
@@ -149,7 +150,7 @@ def test_a_replay_of_the_images_gives_the_same_increments(tmp_path: Path) -> Non
     file.write_text(file.read_text() + "[visual_odometry]\nenabled = true\nground_m = 0.0\n")
     config = load(file)
     counts = _again(source, tmp_path / "first.mcap", config)
-    assert (counts.steps, counts.measured, counts.missing) == (3, 3, 0)
+    assert (counts.asked, counts.measured, counts.missing) == (3, 3, 0)
     deltas = [
         Decoder().decode(r.topic, r.schema, r.data, r.log_time_ns)
         for r in _records(tmp_path / "first.mcap", ODOMETRY_DELTA_TOPIC)
@@ -158,7 +159,7 @@ def test_a_replay_of_the_images_gives_the_same_increments(tmp_path: Path) -> Non
         assert isinstance(delta, OdometryDelta)
         assert np.linalg.norm(delta.dp_b) < 0.01 * -PLACE[2]
     counts = _again(tmp_path / "first.mcap", tmp_path / "second.mcap", config)
-    assert (counts.steps, counts.same, counts.different) == (3, 3, 0)
+    assert (counts.asked, counts.same, counts.different) == (3, 3, 0)
     for topic in (ODOMETRY_DELTA_TOPIC, ODOMETRY_REPORT_TOPIC, "/landfix/odometry"):
         first, second = (_records(tmp_path / name, topic) for name in ("first.mcap", "second.mcap"))
         assert [r.data for r in first] == [r.data for r in second]

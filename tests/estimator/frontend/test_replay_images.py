@@ -10,7 +10,8 @@ from rosbags.highlevel import AnyReader
 
 from estimator.config import ConfigError, load
 from estimator.frontend.files import load_processor
-from estimator.frontend.replay_images import ImageCounts, ImageReplay
+from estimator.frontend.repeat import Counts
+from estimator.frontend.replay_images import ImageReplay
 from estimator.replay.replay import replay
 from logs.store.reader import LogReader, Record
 from logs.store.recorder import Recorder
@@ -23,7 +24,7 @@ from tests.estimator.scenes import SECOND
 from tests.estimator.sights import PLACE, SEEN_S, village, write_flight
 
 
-def _again(source: Path, out: Path, config_file: Path) -> ImageCounts:
+def _again(source: Path, out: Path, config_file: Path) -> Counts:
     """Replay from images."""
     config = load(config_file)
     assert config.rig.file is not None
@@ -49,8 +50,8 @@ def seen(flight: tuple[Path, Path]) -> Path:
     source, config = flight
     out = source.with_name("seen.mcap")
     counts = _again(source, out, config)
-    assert (counts.processed, counts.missing, counts.same, counts.different) == (4, 0, 0, 0)
-    assert counts.fixes >= 3
+    assert (counts.asked, counts.missing, counts.same, counts.different) == (4, 0, 0, 0)
+    assert counts.measured >= 3
     return out
 
 
@@ -113,7 +114,7 @@ def test_a_viewer_puts_landmarks_where_the_image_shows_them(seen: Path) -> None:
 
 def test_the_same_again_to_the_bit(seen: Path, flight: tuple[Path, Path], tmp_path: Path) -> None:
     counts = _again(seen, tmp_path / "again.mcap", flight[1])
-    assert counts.same == counts.fixes >= 3
+    assert counts.same == counts.measured >= 3
     assert (counts.different, counts.missing) == (0, 0)
     assert (tmp_path / "again.mcap").read_bytes() == seen.read_bytes()
 
@@ -130,7 +131,7 @@ def test_a_fix_that_is_not_what_the_images_show_is_found_out(seen: Path, flight:
             data = r.data[:-8] + bytes([r.data[-8] ^ 1]) + r.data[-7:] if r.data == first.data else r.data
             recorder.write(r.topic, r.schema, data, r.log_time_ns)
     counts = _again(forged, tmp_path / "again.mcap", flight[1])
-    assert (counts.same, counts.different) == (counts.fixes - 1, 1)
+    assert (counts.same, counts.different) == (counts.measured - 1, 1)
 
 
 def test_images_that_are_not_in_the_log_are_counted(seen: Path, flight: tuple[Path, Path], tmp_path: Path) -> None:
@@ -150,7 +151,7 @@ def test_broken_images_give_a_reason_and_no_fix(flight: tuple[Path, Path], tmp_p
             data = r.data[: len(r.data) // 3] if "image" in r.topic else r.data
             recorder.write(r.topic, r.schema, data, r.log_time_ns)
     counts = _again(broken, tmp_path / "out.mcap", flight[1])
-    assert (counts.processed, counts.fixes) == (len(SEEN_S), 0)
+    assert (counts.asked, counts.measured) == (len(SEEN_S), 0)
     assert len(_records(tmp_path / "out.mcap", "/landfix/vision")) == len(SEEN_S)
 
 

@@ -11,7 +11,8 @@ import pytest
 
 from estimator.config import Config, load
 from estimator.frontend.files import load_processor
-from estimator.frontend.replay_images import ImageCounts, ImageReplay
+from estimator.frontend.repeat import Counts
+from estimator.frontend.replay_images import ImageReplay
 from estimator.replay.replay import replay
 from estimator.service.daemon import Daemon
 from logs.store.reader import LogReader
@@ -77,7 +78,7 @@ def _records(path: Path, topic: str) -> list[tuple[int, bytes]]:
         return [(r.log_time_ns, r.data) for r in reader if r.topic == topic]
 
 
-def _again(log: Path, out: Path, config_file: Path, config: Config) -> ImageCounts:
+def _again(log: Path, out: Path, config_file: Path, config: Config) -> Counts:
     assert config.rig.file is not None
     assert config.map.landmarks is not None
     processor = load_processor(config_file.parent / config.rig.file, config_file.parent / config.map.landmarks, config.map.origin)
