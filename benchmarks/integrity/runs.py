@@ -1,5 +1,6 @@
 """One flight with protection levels, compared with its truth."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Final, TypeAlias
 
@@ -14,7 +15,7 @@ from benchmarks.stress.perturbations import KINDS
 from estimator.config import parse
 from estimator.fusion import Fusion
 from logs.evaluation.trajectory import nearest
-from models.messages import Estimate, Input, Integrity
+from models.messages import Estimate, Input, Integrity, Output
 from models.sim.aids import Gnss, PoseFixes
 from models.sim.ranges import Interval
 from models.sim.scenario import Scenario, simulate
@@ -78,15 +79,20 @@ def measured(flight: Flight, messages: list[Input]) -> Row:
 
 def flown(flight: Flight, messages: list[Input]) -> tuple[dict[int, Estimate], list[Integrity]]:
     """The estimates as published first, by stamp, and the levels."""
-    fusion = Fusion(msgspec.structs.replace(flight.config, integrity=LIMITS))
-    estimates, levels = dict[int, Estimate](), list[Integrity]()
+    estimates, others = told(Fusion(msgspec.structs.replace(flight.config, integrity=LIMITS)), messages)
+    return estimates, [output for output in others if isinstance(output, Integrity)]
+
+
+def told(fusion: Fusion, messages: Iterable[Input]) -> tuple[dict[int, Estimate], list[Output]]:
+    """The first estimate of each stamp, and what else was said."""
+    estimates, others = dict[int, Estimate](), list[Output]()
     for message in messages:
         for output in fusion.handle(message):
             if isinstance(output, Estimate):
                 estimates.setdefault(output.t_ns, output)
-            elif isinstance(output, Integrity):
-                levels.append(output)
-    return estimates, levels
+            else:
+                others.append(output)
+    return estimates, others
 
 
 def compared(flight: Flight, estimates: dict[int, Estimate], levels: list[Integrity]) -> Row:

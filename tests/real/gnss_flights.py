@@ -6,12 +6,13 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from benchmarks.integrity.runs import told
 from estimator.config import Config, load
 from estimator.fusion import Fusion
 from logs.evaluation.metrics import Times
 from logs.importers import csv_folder
 from logs.importers.recording import Recording, Truth
-from models.messages import AidStatus, Array, Estimate, Input
+from models.messages import AidStatus, Array, Input
 from models.state import E, X
 
 THOR75, GLITCH = "umn_thor75", "inertialnav_logs/f450_glitch"
@@ -37,21 +38,13 @@ def flight(data: Path, folder: str, out: Path) -> tuple[Recording, Config]:
 
 def run(messages: Sequence[Input], config: Config) -> tuple[Track, list[AidStatus]]:
     """Everything through Fusion.handle; the first estimate of each stamp counts."""
-    fusion = Fusion(config.fusion())
-    estimates: dict[int, Estimate] = {}
-    statuses: list[AidStatus] = []
-    for message in messages:
-        for output in fusion.handle(message):
-            if isinstance(output, Estimate):
-                estimates.setdefault(output.t_ns, output)
-            elif isinstance(output, AidStatus):
-                statuses.append(output)
+    estimates, others = told(Fusion(config.fusion()), messages)
     track = [estimates[t] for t in sorted(estimates)]
     return Track(
         np.array([e.t_ns for e in track], np.int64),
         np.array([e.nav[X.P] for e in track]).reshape(-1, 3),
         np.array([e.covariance[E.P, E.P] for e in track]).reshape(-1, 3, 3),
-    ), statuses
+    ), [output for output in others if isinstance(output, AidStatus)]
 
 
 def inputs(recording: Recording) -> list[Input]:

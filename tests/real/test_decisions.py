@@ -1,4 +1,4 @@
-"""Cut flights whose faults locked true fixes out: each with the error that it may cost, beside the data folder of the flights."""
+"""Cut flights whose faults locked true fixes out, next to the folder of the flights: each with the error that it may cost."""
 
 import os
 from pathlib import Path
@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.flights.tasks import INSIDE95, read_odometry
+from benchmarks.integrity.runs import told
 from estimator.config import load
 from estimator.fusion import Fusion
 from logs.store.reader import LogReader
@@ -32,15 +33,10 @@ def _flown(path: Path) -> tuple[dict[int, Estimate], int]:
     """Estimates by stamp, the first of each, and the number of resets."""
     config = load(path.with_suffix(".toml"))
     decoder = Decoder(Topics.of(msgspec.to_builtins(config.inputs)), config.mounting())
-    fusion, estimates, resets = Fusion(config.fusion()), dict[int, Estimate](), 0
     with LogReader(path) as reader:
-        for record in reader:
-            message = decoder.decode(record.topic, record.schema, record.data, record.log_time_ns)
-            for out in fusion.handle(message) if message is not None else ():
-                if isinstance(out, Estimate):
-                    estimates.setdefault(out.t_ns, out)
-                resets += isinstance(out, Reset)
-    return estimates, resets
+        messages = (decoder.decode(r.topic, r.schema, r.data, r.log_time_ns) for r in reader)
+        estimates, others = told(Fusion(config.fusion()), (m for m in messages if m is not None))
+    return estimates, sum(isinstance(output, Reset) for output in others)
 
 
 def test_a_hostile_position_that_is_gated_moves_nothing() -> None:
