@@ -4,7 +4,8 @@
     w = n / (n + m)  where n >= m: nothing decides,     w_0 exp(-(|d| / d_0)^2)  elsewhere: the map may be wrong
 
 d (3,) [m]: to the source's position, of covariance S (3, 3); n, m: sources nearer to it and to the estimate, n also the IMU where
-it contradicts the estimate; w_0: share of conflicts by a wrong map; d_0 [m]: its errors. A receiver alone does not contradict.
+it contradicts the estimate, m where the source has jumped; w_0: share of conflicts by a wrong map; d_0 [m]: its errors. Fixes
+outweigh a receiver.
 K sources of fixes that are fused, with innovations nu that do not average out, differ from one another:
 
     m <- m + a (nu - m),   P <- P + sum_k max(1 - 3 E|m|^2 / |m_k|^2, 0) m_k m_k^T / K,   E|m|^2 = a / (2 - a) tr R_k
@@ -33,19 +34,24 @@ _GAIN = 0.1
 _TELLS = 3.0  # a source tells two positions apart whose distance squared is larger than so many times its variance
 _CLEARLY = 3.0  # so many times nearer to one position than to the other
 _TINY = 1e-12
+_JUMPS = 100.0  # d^T S^-1 d: a source that drifts off is refused long before
 _SHOWS = 2.0  # times d_0: w is a fiftieth of w_0
 _LASTS_NS = 1_000_000_000  # shorter ones are outliers
 _NEAR = 0.1  # share of the positions of a receiver that is right which are nearer
 
 
 class Apart(NamedTuple):
-    """A source away from the estimate by off (3,) [m] of covariance s (3, 3) at last_ns; steady: readings in a row that agree."""
+    """A source away from the estimate by off (3,) [m] of covariance s (3, 3) at last_ns.
+
+    steady: readings in a row that agree; jumped: it was near just before, so that the IMU contradicts it.
+    """
 
     since_ns: int
     last_ns: int
     off: Array
     s: Array
     steady: int
+    jumped: bool
 
     @property
     def lasts(self) -> bool:
@@ -74,7 +80,12 @@ class Apart(NamedTuple):
     @property
     def is_near(self) -> bool:
         """Whether it is near the estimate: small d^T S^-1 d."""
-        return bool(self.off @ np.linalg.solve(self.s, self.off) <= gate(_NEAR, _XYZ))
+        return self.distance2 <= gate(_NEAR, _XYZ)
+
+    @property
+    def distance2(self) -> float:
+        """d^T S^-1 d."""
+        return float(self.off @ np.linalg.solve(self.s, self.off))
 
 
 class Place(NamedTuple):
@@ -118,13 +129,11 @@ class Conflicts:
         if disagrees or (lingers and before):
             slow = sum(error.covariance for error in aid.slow_errors if len(error.covariance) == _XYZ)
             is_steady = before is not None and np.linalg.norm(off - before.off) < _STEADY * np.linalg.norm(off)
-            now = Apart(
-                before.since_ns if before else aid.t_ns,
-                aid.t_ns,
-                off,
-                z.noise[:_XYZ, :_XYZ] + slow,
-                before.steady + 1 if before and is_steady else 0,
-            )
+            now = Apart(aid.t_ns, aid.t_ns, off, z.noise[:_XYZ, :_XYZ] + slow, 0, False)
+            if before is not None:
+                now = now._replace(since_ns=before.since_ns, steady=before.steady + 1 if is_steady else 0, jumped=before.jumped)
+            elif (last := self.newest.get(aid.topic)) is not None and aid.t_ns - last.t_ns < VOUCHED_NS:
+                now = now._replace(jumped=now.distance2 > _JUMPS)
             if disagrees or not now.is_near:
                 return replace(here, apart={**self.apart, aid.topic: now})._with_between()
         return here._agrees(aid.topic)._with_between()
@@ -170,9 +179,9 @@ class Conflicts:
         """n / (n + m) of the sources against which nothing decides, by topic."""
         found = dict[str, float]()
         for topic, apart in self.apart.items():
-            nearer, m = self._votes(topic, apart, 1.0)
-            n = 1 + nearer + doubts_imu
-            is_alone = n == 1 and (topic in receivers or not apart.agrees)
+            nearer, by = self._votes(topic, apart, 1.0)
+            n, m = 1 + nearer + doubts_imu, len(by) + apart.jumped
+            is_alone = n == 1 and (not apart.agrees or (topic in receivers and not (by and by <= receivers)))
             if n >= m and not is_alone:
                 found[topic] = n / (n + m)
         return found
@@ -182,18 +191,20 @@ class Conflicts:
         apart = self.apart.get(topic)
         if apart is None or not apart.agrees:
             return False
-        nearer, m = self._votes(topic, apart, _CLEARLY)
-        return 1 + nearer > m and nearer > 0
+        nearer, by = self._votes(topic, apart, _CLEARLY)
+        return 1 + nearer > len(by) + apart.jumped and nearer > 0
 
-    def _votes(self, topic: str, apart: Apart, times: float) -> tuple[int, int]:
-        """Other sources so many times nearer to this one than to the estimate, and those that the estimate rests on."""
-        distance2, nearer, others = float(apart.off @ apart.off), 0, 0
+    def _votes(self, topic: str, apart: Apart, times: float) -> tuple[int, set[str]]:
+        """Number of other sources so many times nearer to this one than to the estimate; those that the estimate rests on."""
+        distance2, nearer, by = float(apart.off @ apart.off), 0, set[str]()
         for t, place in self.newest.items():
             if t == topic or apart.last_ns - place.t_ns >= VOUCHED_NS or distance2 <= times**2 * _TELLS * place.variance:
                 continue
-            is_nearer = times**2 * np.sum((place.off - apart.off) ** 2) < place.off @ place.off
-            nearer, others = nearer + bool(is_nearer), others + (not is_nearer and t not in self.apart)
-        return nearer, others
+            if times**2 * np.sum((place.off - apart.off) ** 2) < place.off @ place.off:
+                nearer += 1
+            elif t not in self.apart:
+                by.add(t)
+        return nearer, by
 
     def added(self, shares: Mapping[str, float]) -> Array:
         """Added covariance of the position, (3, 3)."""

@@ -32,7 +32,7 @@ _S = np.diag([1.0, 4.0, 9.0])
 
 
 def _apart(off: tuple[float, float, float], lasts_s: float = 5.0) -> Apart:
-    return Apart(EPOCH_NS, EPOCH_NS + round(lasts_s * 1e9), np.array(off), _S, 9)
+    return Apart(EPOCH_NS, EPOCH_NS + round(lasts_s * 1e9), np.array(off), _S, 9, False)
 
 
 def test_what_is_added_is_the_share_of_a_mixture_and_fades_with_the_distance() -> None:
@@ -92,9 +92,9 @@ def test_a_receiver_that_fixes_refuse_counts_once_it_lasts() -> None:
     assert lasting.added({})[0, 0] > 1.0
 
 
-def _places(*of: tuple[str, float], seconds: float = 5.0, every_s: float = 0.5) -> Conflicts:
+def _places(*of: tuple[str, float], seconds: float = 5.0, every_s: float = 0.5, before: Conflicts | None = None) -> Conflicts:
     """Sources so far north of the estimate; those further than 3 m are rejected."""
-    found = Conflicts()
+    found = before or Conflicts()
     for k in range(int(seconds / every_s) + 1):
         for topic, north_m in of:
             if topic == "/gnss":
@@ -117,8 +117,19 @@ def _places(*of: tuple[str, float], seconds: float = 5.0, every_s: float = 0.5) 
         (_places(("/a", 0.0), ("/gnss", 49.0), ("/b", 50.0), seconds=0.0), {"/b": 2 / 3, "/gnss": 2 / 3}),
         (_places(("/a", 0.0), ("/gnss", 2.9), ("/b", 5.0)), {"/b": 2 / 3}),
         (_places(("/a", 0.0), ("/b", 50.0), ("/c", -50.0)), {"/b": 1 / 2, "/c": 1 / 2}),
+        (_places(("/b", 50.0), before=_places(("/a", 0.0), ("/b", 0.0), seconds=1.0)), {}),
     ],
-    ids=["one-to-one", "too-short", "receiver", "receiver-leads", "outvoted", "two-to-one", "receiver-nearer", "all-differ"],
+    ids=[
+        "one-to-one",
+        "too-short",
+        "receiver",
+        "receiver-leads",
+        "outvoted",
+        "two-to-one",
+        "receiver-nearer",
+        "all-differ",
+        "jumped",
+    ],
 )
 def test_witnesses_decide_by_their_number(found: Conflicts, shares: dict[str, float]) -> None:
     assert found.shares({"/gnss"}, doubts_imu=False) == pytest.approx(shares)
