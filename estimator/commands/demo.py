@@ -58,8 +58,8 @@ def _print_verdict(evaluation: "Evaluation") -> None:
             reported = f", reported 95 % radius {outage.radius95_end_m:.2f} m" if outage.radius95_end_m is not None else ""
             why = "with odometry" if outage.increments else "of blackout"
             without = outage.without_odometry_m if outage.increments else None
-            beside = f"; without odometry {without:.2f} m" if without is not None else ""
-            rows.append((f"after {outage.duration_s:.0f} s {why}", f"{outage.drift.end_m:.2f} m{reported}{beside}"))
+            compared = f"; without odometry {without:.2f} m" if without is not None else ""
+            rows.append((f"after {outage.duration_s:.0f} s {why}", f"{outage.drift.end_m:.2f} m{reported}{compared}"))
     if evaluation.consistency:
         rows.append(("inside the 95 % radius", f"{evaluation.consistency.radius95_covered:.0%} of the time"))
     print_table("Against the truth", rows)

@@ -33,7 +33,7 @@ EVERY_NS: Final = 1_000_000_000
 AFTER_NS: Final = 3_000_000_000  # of rest, before the first update
 _GYRO, _ACCEL = 0.01, 0.1  # rad/s, m/s^2: deviation over a second below which it may be at rest
 _KNOWN_M_S = 0.2  # sigma of the estimated velocity above which nothing confirms a rest
-_RATE_SIGMA = 3e-4  # rad/s: of a vehicle at rest, mean of a second, beside the noise of its samples
+_RATE_SIGMA = 3e-4  # rad/s: of a vehicle at rest, mean of a second, apart from the noise of its samples
 
 
 class RestConfig(SensorConfig, frozen=True, forbid_unknown_fields=True):

@@ -42,7 +42,7 @@ _TINY = 1e-9
 
 
 class Verdict(NamedTuple):
-    """The leading hypothesis' answer; explained: a new follower fused what it refused; wrong: sensors that it left."""
+    """The leader's answer; explained: it refused what a new follower fused; wrong: sensors that the leader does without."""
 
     seen: Innovation
     gate: float
