@@ -35,7 +35,6 @@ _SIGMAS = 6.0
 _FEWEST = 3  # readings
 _LONGEST_S = 0.5  # no longer delay is found
 _APART_M = 3.0  # sigma of the difference of two sources' positions: MAP_M of the faults
-_EARLY_S = 0.02  # by so much clocks may differ
 _KNOWN_S = 0.02  # sigma of tau that the sums must reach
 _SIGMA_S = 0.1  # of tau, to begin with, where it is a state
 _PROBE_S = 1e-4  # s0: less than the motion of any vehicle shows
@@ -147,10 +146,7 @@ def explains(off: Array, s: Array, x: Array) -> bool:
 def noted(
     aid: Aid, seen: Innovation, gate: float, delays: Delays, members: Sequence[Hypothesis], weight: float = 1.0, *, alone: bool
 ) -> Delays:
-    """After a reading of the leading filter; a detected delay becomes a state of each filter.
-
-    Not one by which the reading came before it was valid, unless the source is alone: then another source, or the IMU, is late.
-    """
+    """After a reading of the leading filter; a detected delay becomes a state of each filter."""
     topic = aid.witness
     before = delays.get(topic) or Delay(aid.t_ns)
     name, lead = block(topic), members[0].filter
@@ -158,10 +154,6 @@ def noted(
     if not before.is_state and name in lead.slow.columns and lead.slow.columns[name].stop <= seen.hp.shape[1]:
         apart = aid.absolute and not alone and len(seen.nu) >= _XYZ
         now = before.also(aid.t_ns, seen, lead.slow.columns[name].start, gate, weight, apart=apart)
-    if now.is_state and not before.is_state and not alone:
-        information, score = now.evidence
-        is_early = score < -(_EARLY_S + (aid.arrived_ns - aid.t_ns) * 1e-9) * information
-        now = now._replace(is_state=not is_early)
     if now.is_state and not before.is_state:
         for member in members:
             if name in member.filter.slow.columns:

@@ -93,7 +93,7 @@ def test_a_receiver_that_fixes_refuse_counts_once_it_lasts() -> None:
 
 
 def _places(*of: tuple[str, float], seconds: float = 5.0, every_s: float = 0.5, before: Conflicts | None = None) -> Conflicts:
-    """Sources so far north of the estimate; those further than 3 m are rejected."""
+    """Sources so far north of the estimate; those further than 2 m are rejected."""
     found = before or Conflicts()
     for k in range(int(seconds / every_s) + 1):
         for topic, north_m in of:
@@ -102,7 +102,7 @@ def _places(*of: tuple[str, float], seconds: float = 5.0, every_s: float = 0.5, 
             else:
                 t_ns = EPOCH_NS + round(every_s * k * 1e9)
                 aid, z = _fix(replace(pose_fix(t_ns, (north_m, 0.0, 0.0)), topic=topic))
-            found = found.judged(aid, z, HERE, HERE, is_rejected=abs(north_m) > 3.0)
+            found = found.judged(aid, z, HERE, HERE, is_rejected=abs(north_m) > 2.0)
     return found
 
 
@@ -115,7 +115,8 @@ def _places(*of: tuple[str, float], seconds: float = 5.0, every_s: float = 0.5, 
         (_places(("/gnss", 0.0), ("/b", 50.0)), {"/b": 1 / 2}),
         (_places(("/a", 0.0), ("/gnss", 0.5), ("/b", 50.0)), {}),
         (_places(("/a", 0.0), ("/gnss", 49.0), ("/b", 50.0), seconds=0.0), {"/b": 2 / 3, "/gnss": 2 / 3}),
-        (_places(("/a", 0.0), ("/gnss", 2.9), ("/b", 5.0)), {"/b": 2 / 3}),
+        (_places(("/a", 0.0), ("/gnss", 1.9), ("/b", 3.5)), {"/b": 2 / 3}),
+        (_places(("/a", 0.0), ("/gnss", 0.1), ("/b", 2.5)), {"/b": 1 / 2}),
         (_places(("/a", 0.0), ("/b", 50.0), ("/c", -50.0)), {"/b": 1 / 2, "/c": 1 / 2}),
         (_places(("/b", 50.0), before=_places(("/a", 0.0), ("/b", 0.0), seconds=1.0)), {}),
     ],
@@ -127,6 +128,7 @@ def _places(*of: tuple[str, float], seconds: float = 5.0, every_s: float = 0.5, 
         "outvoted",
         "two-to-one",
         "receiver-nearer",
+        "receiver-abstains",
         "all-differ",
         "jumped",
     ],

@@ -170,6 +170,25 @@ def test_a_delay_that_is_known_badly_is_no_state_however_unlikely_the_innovation
     assert found.is_state == is_state
 
 
+@pytest.mark.parametrize("turn_deg_s", [0.0, 6.0])
+@pytest.mark.parametrize("late", [True, False])
+def test_with_another_source_a_constant_difference_is_no_delay(turn_deg_s: float, late: bool) -> None:
+    """At 20 m/s, 1 m: as from a delay of 50 ms, which shows in turns alone."""
+    noise, found, alone = 0.04 * np.eye(3), delay.Delay(EPOCH_NS), delay.Delay(EPOCH_NS)
+    for k in range(60):
+        course = math.radians(0.5 * turn_deg_s * k)
+        v_n = 20.0 * np.array([math.cos(course), math.sin(course), 0.0])
+        nu, hp = (-0.05 * v_n if late else np.array([-1.0, 0.0, 0.0])), -(1e-4**2) * v_n[:, None]
+        seen = Innovation(nu, np.eye(3), hp, noise, noise, float(nu @ nu) / 0.04, 0.0)
+        found = found.also(EPOCH_NS + k * SECOND // 2, seen, 0, apart=True)
+        alone = alone.also(EPOCH_NS + k * SECOND // 2, seen, 0)
+    assert alone.is_state
+    assert found.is_state == (late and turn_deg_s > 0.0)
+    if found.is_state:
+        information, score = found.evidence
+        assert score / information == pytest.approx(0.05, rel=0.05)
+
+
 def test_a_reading_that_shares_errors_with_the_last_counts_less() -> None:
     seen = Innovation(np.array([3.0]), np.eye(1), 1e-7 * np.eye(1), np.eye(1), np.eye(1), 9.0, 0.0)
     whole, part = (delay.Delay(EPOCH_NS).also(EPOCH_NS, seen, 0, weight=weight) for weight in (1.0, 0.1))
