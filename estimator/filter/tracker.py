@@ -541,8 +541,6 @@ class Tracker:
         core.stretch = None
         nearest.doubts.clear()
         nearest.without, nearest.past = "", None
-        off = position_n - nearest.filter.x[X.P]
-        nearest.filter.widen(max(1.0, float(np.linalg.norm(off) / np.sqrt(np.trace(nearest.filter.cov[E.P, E.P])))))
 
     def _vouched(self, aid: Aid) -> bool:
         """Whether another source gave positions lately, or since a receiver's speed has stepped: an IMU's error grows."""

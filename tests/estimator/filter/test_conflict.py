@@ -137,6 +137,12 @@ def test_witnesses_decide_by_their_number(found: Conflicts, shares: dict[str, fl
     assert found.shares({"/gnss"}, doubts_imu=False) == pytest.approx(shares)
 
 
+@pytest.mark.parametrize(("gnss_m", "b_m", "leads"), [(50.0, 50.0, True), (30.0, 50.0, False), (6.0, 6.0, False)])
+def test_the_majority_leads_where_it_is_clear(gnss_m: float, b_m: float, leads: bool) -> None:
+    """A receiver that is half-way, or whose sigma is a third of the distance, does not decide."""
+    assert _places(("/a", 0.0), ("/gnss", gnss_m), ("/b", b_m)).outvotes("/b") == leads
+
+
 def test_an_imu_that_contradicts_the_estimate_is_a_witness_and_a_source_is_forgotten() -> None:
     assert _places(("/a", 0.0), ("/gnss", 50.0), seconds=0.0).shares({"/gnss"}, doubts_imu=True) == pytest.approx(
         {"/gnss": 2 / 3}
