@@ -125,7 +125,7 @@ class Conflicts:
         if not (isinstance(z, Position | Pose) and len(z.z_n) == len(z.rows[:_XYZ])):
             return self.without(aid.topic)
         off = z.z_n - position_n
-        here = replace(self, newest={**self.newest, aid.topic: self._place(aid, z, off, nu)})
+        here = replace(self, newest={**self.newest, aid.topic: self._place(aid, z, off, nu, disagrees=disagrees)})
         if disagrees or (lingers and before):
             slow = sum(error.covariance for error in aid.slow_errors if len(error.covariance) == _XYZ)
             is_steady = before is not None and np.linalg.norm(off - before.off) < _STEADY * np.linalg.norm(off)
@@ -138,10 +138,10 @@ class Conflicts:
                 return replace(here, apart={**self.apart, aid.topic: now})._with_between()
         return here._agrees(aid.topic)._with_between()
 
-    def _place(self, aid: Aid, z: Position | Pose, off: Array, nu: Array) -> Place:
+    def _place(self, aid: Aid, z: Position | Pose, off: Array, nu: Array, *, disagrees: bool) -> Place:
         before, apart = self.newest.get(aid.topic), self.apart.get(aid.topic)
         mean = before.mean if before is not None and aid.t_ns - before.t_ns < VOUCHED_NS else np.zeros(_XYZ)
-        if apart is None or apart.steady >= _ENOUGH:
+        if not disagrees or (apart is not None and apart.steady >= _ENOUGH):
             mean = mean + _GAIN * (nu[:_XYZ] - mean)
         return Place(aid.t_ns, off, float(z.noise[:_XYZ, :_XYZ].trace()), mean, aid.geodetic is not None)
 

@@ -11,7 +11,7 @@ from estimator.filter.conflict import Apart, Conflicts
 from estimator.sources.base.aid import Aid
 from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
 from models.frames import Origin
-from models.measurements import Measurement
+from models.measurements import Measurement, Pose
 from models.messages import GnssFix, GnssVelocity, PoseFix
 from models.sim.scenario import EPOCH_NS
 from models.state import E
@@ -97,12 +97,14 @@ def _places(*of: tuple[str, float], seconds: float = 5.0, every_s: float = 0.5, 
     found = before or Conflicts()
     for k in range(int(seconds / every_s) + 1):
         for topic, north_m in of:
-            if topic == "/gnss":
+            if topic.startswith("/gnss"):
                 aid, z = _gnss(every_s * k, north_m)
+                aid = replace(aid, topic=topic)
             else:
                 t_ns = EPOCH_NS + round(every_s * k * 1e9)
                 aid, z = _fix(replace(pose_fix(t_ns, (north_m, 0.0, 0.0)), topic=topic))
-            found = found.judged(aid, z, HERE, HERE, is_rejected=abs(north_m) > 2.0)
+            nu = np.array([north_m, 0.0, 0.0])
+            found = found.judged(aid, z, HERE, nu, is_rejected=abs(north_m) > 2.0)
     return found
 
 
@@ -112,6 +114,7 @@ def _places(*of: tuple[str, float], seconds: float = 5.0, every_s: float = 0.5, 
         (_places(("/a", 0.0), ("/b", 50.0)), {"/b": 1 / 2}),
         (_places(("/a", 0.0), ("/b", 50.0), seconds=1.0), {}),
         (_places(("/a", 0.0), ("/gnss", 50.0)), {}),
+        (_places(("/gnss", 0.0), ("/gnss/2", 50.0)), {"/gnss/2": 1 / 2}),
         (_places(("/gnss", 0.0), ("/b", 50.0)), {"/b": 1 / 2}),
         (_places(("/a", 0.0), ("/gnss", 0.5), ("/b", 50.0)), {}),
         (_places(("/a", 0.0), ("/gnss", 49.0), ("/b", 50.0), seconds=0.0), {"/b": 2 / 3, "/gnss": 2 / 3}),
@@ -124,6 +127,7 @@ def _places(*of: tuple[str, float], seconds: float = 5.0, every_s: float = 0.5, 
         "one-to-one",
         "too-short",
         "receiver",
+        "two-receivers",
         "receiver-leads",
         "outvoted",
         "two-to-one",
@@ -134,7 +138,7 @@ def _places(*of: tuple[str, float], seconds: float = 5.0, every_s: float = 0.5, 
     ],
 )
 def test_witnesses_decide_by_their_number(found: Conflicts, shares: dict[str, float]) -> None:
-    assert found.shares({"/gnss"}, doubts_imu=False) == pytest.approx(shares)
+    assert found.shares({"/gnss", "/gnss/2"}, doubts_imu=False) == pytest.approx(shares)
 
 
 @pytest.mark.parametrize(("gnss_m", "b_m", "leads"), [(50.0, 50.0, True), (30.0, 50.0, False), (6.0, 6.0, False)])
@@ -149,6 +153,21 @@ def test_an_imu_that_contradicts_the_estimate_is_a_witness_and_a_source_is_forgo
     )
     assert not _places(("/a", 0.0), ("/b", 50.0)).without("/b").apart
     assert _places(("/a", 0.0), ("/b", 50.0)).without("/a").shares(set(), doubts_imu=False) == {"/b": 1.0}
+
+
+def test_fused_fixes_that_differ_are_in_the_covariance_and_a_false_one_is_not() -> None:
+    assert _places(("/a", 0.0), ("/b", 0.0), seconds=20.0).between is None
+    near = Conflicts()
+    for k in range(80):
+        at = pose_fix(EPOCH_NS + k * SECOND // 4, (0.5 if k % 2 else -0.5, 0.0, 0.0))
+        aid, z = _fix(replace(at, topic="/a" if k % 2 else "/b"))
+        nu = z.z_n if isinstance(z, Pose) else HERE
+        near = near.judged(aid, z, HERE, nu, is_rejected=False)
+    assert near.between is not None
+    assert 0.15 < near.between[0, 0] <= 0.25
+    np.testing.assert_array_equal(near.added({}), near.between)
+    false = _places(("/b", 50.0), seconds=0.0, before=_places(("/a", 0.0), ("/b", 0.0), seconds=5.0))
+    assert _places(("/b", 0.0), seconds=0.0, before=false).between is None
 
 
 def test_positions_that_do_not_agree_with_one_another_are_no_witness() -> None:
