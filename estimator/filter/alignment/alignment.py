@@ -44,6 +44,7 @@ _BESIDE_NS = 5_000_000_000
 _WRONG_NS = 30_000_000_000  # a heading that motion has refuted is not asked for
 _UNDECIDED_NS = 600_000_000_000  # nor are two that differ
 _FRESH_NS = 2_000_000_000  # a prior attitude is of now
+_TRIED_NS = 10_000_000_000  # a source of poses that has not aligned the filter by then lets another one try
 _XYZ = 3
 _LARGEST_NOISE = math.radians(30.0)  # a larger innovation of attitude is not the noise of a fix
 _MOVED_SIGMA = 4.0  # positions that differ by more are of a vehicle that moves
@@ -75,6 +76,7 @@ class Alignment:
         self.contradiction = NO_CONTRADICTION
         self.given_up = 0  # how often a filter was
         self.begun_by, self.begun_ns = "", NEVER  # the source at whose position the newest filter begins, and its newest pose
+        self.since_ns = NEVER  # when it was another one
         self.direction: tuple[float, ...] = ()  # of the newest innovation of an absolute source during the alignment
         self.persisted = False  # it and the one before point the same way
         self.plausibility = Plausibility(Phase.STARTING, _NO_START)
@@ -120,7 +122,9 @@ class Alignment:
             return Decision(Reason.ALIGNING, detail=_BEFORE_IMU)
         whole = isinstance(z, Pose) and z.attitude == "full" and aid.absolute
         if whole and core.hypotheses is not None and aid.topic != self.begun_by and core.t_ns - self.begun_ns < _FRESH_NS:
-            return Decision(Reason.ALIGNING, detail=f"{self.begun_by} aligns first")  # the two may contradict each other
+            if core.t_ns - self.since_ns < _TRIED_NS:
+                return Decision(Reason.ALIGNING, detail=f"{self.begun_by} aligns first")  # the two may contradict each other
+            self.begin_again()
         if whole or core.hypotheses is None:
             stretch = core.recent(samples)
             at = None
@@ -136,6 +140,8 @@ class Alignment:
                     self.plausibility = Plausibility(Phase.ACTIVE, contradiction.SAYS)
                     return Decision(Reason.ALIGNING, detail=contradiction.SAYS)
                 if core.hypotheses is None or len(core.hypotheses.members) > 1:
+                    if aid.topic != self.begun_by:
+                        self.since_ns = core.t_ns
                     self.begun_by, self.begun_ns = aid.topic, core.t_ns
                     core.hypotheses = initialise.start_from_pose(core.t_ns, z, core.constants, config, aid)
                     core.stretch = Stretch.of(core.hypotheses.lead)

@@ -82,6 +82,16 @@ def test_a_receiver_decides(flight: Simulation, north_m: float) -> None:
     assert np.median(radii(late)) < (8.0 if north_m < 100.0 else 2.0)  # the map may be wrong by tens of metres
 
 
+@pytest.mark.parametrize("receiver", [True, False])
+def test_one_whose_positions_are_noise_does_not_keep_the_other_from_aligning(flight: Simulation, receiver: bool) -> None:
+    def anywhere(m: PoseFix) -> PoseFix:
+        return replace(m, p_n=vec3(m.p_n + 100.0 * np.random.default_rng(m.t_ns).standard_normal(3)))
+
+    run = _both(flight, anywhere, "/a", receiver=receiver)
+    assert position_errors(within(run.estimates, 20.0, 50.0), flight.truth).max() < 2.0
+    assert len(within(run.estimates, 20.0, 50.0)) > 140
+
+
 @pytest.mark.parametrize("late_s", [0.15, 0.4])
 def test_one_that_is_late_is_named_and_not_the_other(flight: Simulation, late_s: float) -> None:
     run = _both(flight, _late(late_s), "/z")
