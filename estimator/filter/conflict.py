@@ -26,10 +26,8 @@ from models.messages import Array
 
 VOUCHED_NS = 10_000_000_000  # a source that gave a position since then is one to compare another with
 _XYZ = 3
-_STEADY, _ENOUGH = (
-    0.5,
-    3,
-)  # change of d from one reading to the next, of its size, and so many of a source that agrees with itself
+_STEADY = 0.5  # change of d from one reading to the next, of its size, of a source that agrees with itself
+_ENOUGH = 3  # such readings
 _GAIN = 0.1
 _TELLS = 3.0  # a source tells two positions apart whose distance squared is larger than so many times its variance
 _CLEARLY = 3.0  # so many times nearer to one position than to the other
