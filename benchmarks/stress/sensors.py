@@ -11,6 +11,7 @@ from models.messages import Array, Input, OdometryPose, PoseFix, Quat, Reading, 
 from models.sim.faults import in_order
 
 SINCE_S = 25.0  # of what drifts
+ANOTHER = "/another"  # source of fixes
 _RATE_HZ, _NOISE_M_S, _NOISE_M = 10.0, 0.05, 0.3
 _PA, _PER_M, _POWER = 101_325.0, 2.25577e-5, 5.25588  # of the standard atmosphere
 
@@ -79,7 +80,7 @@ def _with_fixes(flight: Flight, rng: np.random.Generator, fault: Callable[[PoseF
     for m in (m for m in flight.messages if isinstance(m, PoseFix)):
         k, noise = flight.row(m.t_ns), np.linalg.cholesky(m.covariance) @ rng.standard_normal(6)
         q = _times_left(Rotation.from_rotvec(noise[3:]), Rotation.from_matrix(flight.R_nb[k]).as_quat(scalar_first=True))
-        found.append(fault(replace(m, topic="/another", p_n=vec3(flight.p_n[k] + noise[:3]), q_nb_wxyz=q)))
+        found.append(fault(replace(m, topic=ANOTHER, p_n=vec3(flight.p_n[k] + noise[:3]), q_nb_wxyz=q)))
     return in_order([*found, *flight.messages])
 
 

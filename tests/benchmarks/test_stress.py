@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmarks.stress import perturbations as perturb
+from benchmarks.stress import sensors
 from benchmarks.stress.__main__ import jobs
 from benchmarks.stress.cell import Row, Score, landfix, naive, score
 from benchmarks.stress.flights import Flight, load_flight
@@ -49,11 +50,22 @@ OTHER_FIXES = "fixes 20 Hz correlated"  # at any size
 @pytest.mark.parametrize("kind", [k for k in KINDS.values() if k.name != OTHER_FIXES], ids=lambda k: k.name)
 def test_size_nothing_changes_no_value(flight: Flight, kind: perturb.Kind) -> None:
     size = 1.0 if kind.unit == "x" and kind.perturb is not perturb.fix_drift else 0.0
-    after = [m for m in kind.perturb(flight, size, rng()) if not isinstance(m, Reading | OdometryPose)]  # that a sensor adds
+    made = kind.perturb(flight, size, rng())
+    after = [m for m in made if not isinstance(m, Reading | OdometryPose) and m.topic != sensors.ANOTHER]  # that a sensor adds
     assert [(m.t_ns, m.topic) for m in after] == [(m.t_ns, m.topic) for m in flight.messages]
     for name in ("gyro_b", "accel_b", "p_n", "q_nb_wxyz", "v_n", "lat_deg", "lon_deg", "alt_m", "covariance"):
         new, old = (np.array([getattr(m, name) for m in some if hasattr(m, name)]) for some in (after, flight.messages))
         np.testing.assert_allclose(new, old, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("size_m", [0.0, 20.0])
+def test_another_source_of_fixes_has_noise_of_its_own_and_is_off_by_its_size(flight: Flight, size_m: float) -> None:
+    made = [m for m in sensors.second_shifted(flight, size_m, rng()) if m.topic == sensors.ANOTHER]
+    assert len(made) == len(fixes(flight.messages))
+    off = np.array([np.array(m.p_n) - flight.p_n[flight.row(m.t_ns)] for m in made if isinstance(m, PoseFix)])
+    assert np.linalg.norm(off.mean(axis=0)) == pytest.approx(size_m, abs=0.1)
+    assert off.std(axis=0) == pytest.approx(np.sqrt(np.diag(fixes(flight.messages)[0].covariance)[:3]), rel=0.3)
+    assert abs(np.corrcoef(off[:, 0], [m.p_n[0] - flight.p_n[flight.row(m.t_ns), 0] for m in fixes(flight.messages)])[0, 1]) < 0.4
 
 
 def test_mount_turns_both_sensors_by_its_angle(flight: Flight) -> None:
