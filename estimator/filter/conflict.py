@@ -123,7 +123,8 @@ class Conflicts:
         if not (isinstance(z, Position | Pose) and len(z.z_n) == len(z.rows[:_XYZ])):
             return self.without(aid.topic)
         off = z.z_n - position_n
-        here = replace(self, newest={**self.newest, aid.topic: self._place(aid, z, off, nu, disagrees=disagrees)})
+        newest = {**self.newest, aid.topic: self._place(aid, z, off, nu, disagrees=disagrees)}
+        here = Conflicts(self.apart, self.contrary_ns, newest, self.between)
         if disagrees or (lingers and before):
             slow = sum(error.covariance for error in aid.slow_errors if len(error.covariance) == _XYZ)
             is_steady = before is not None and np.linalg.norm(off - before.off) < _STEADY * np.linalg.norm(off)
@@ -144,15 +145,12 @@ class Conflicts:
         return Place(aid.t_ns, off, float(z.noise[:_XYZ, :_XYZ].trace()), mean, aid.geodetic is not None)
 
     def _with_between(self) -> "Conflicts":
-        if len(self.newest) == 1:  # most of the time
-            return self
-        now_ns = max(place.t_ns for place in self.newest.values())
-        fused = [
-            place
-            for topic, place in self.newest.items()
-            if not place.is_receiver and topic not in self.apart and now_ns - place.t_ns < VOUCHED_NS
-        ]
-        between = np.mean([place.differs for place in fused], axis=0) if len(fused) > 1 else np.zeros(_XYZ)
+        fixes = [topic for topic, place in self.newest.items() if not place.is_receiver]
+        if len(fixes) < 2:  # most of the time
+            return self if self.between is None else replace(self, between=None)
+        now_ns = max(self.newest[topic].t_ns for topic in fixes)
+        fused = [t for t in fixes if t not in self.apart and now_ns - self.newest[t].t_ns < VOUCHED_NS]
+        between = np.mean([self.newest[t].differs for t in fused], axis=0) if len(fused) > 1 else np.zeros(_XYZ)
         return replace(self, between=between if between.any() else None)
 
     def without(self, topic: str) -> "Conflicts":

@@ -44,6 +44,7 @@ _G_N = np.array([0.0, 0.0, GRAVITY])
 _AT_IMU = np.zeros(3)
 _COUNTS_M2 = 1e-3  # less is not worth the time of an estimate
 _XYZ, _TINY = 3, 1e-12
+_NOTHING = np.zeros((0, 5))
 
 
 class Delay(NamedTuple):
@@ -91,7 +92,8 @@ class Delay(NamedTuple):
             return self
         is_new = not 0.0 <= (t_ns - self.since_ns) * 1e-9 < _ANEW_S
         sums = Delay(t_ns, before=self.evidence) if is_new else self
-        information, score = _score(seen.nu, seen.s, seen.hp, column)
+        place = np.zeros((_XYZ, 5)) if apart else _NOTHING
+        information, score = _score(seen.nu, seen.s, seen.hp, column, place)
         if math.isnan(information):
             return sums
         total, scores = sums.information + weight * information, sums.score + weight * score
@@ -103,12 +105,12 @@ class Delay(NamedTuple):
         readings = sums.readings + 1
         offset = sums.offset
         if apart:
-            w = weight * np.linalg.solve(seen.s, np.eye(len(seen.nu), _XYZ)).T
-            more = np.column_stack((w @ seen.hp[:, column] / _PROBE_S**2, w[:, :_XYZ], w @ seen.nu))
-            offset = more if offset is None else offset + more
+            offset = weight * place if offset is None else offset + weight * place
         now = Delay(sums.since_ns, total, scores, readings, False, sums.before, offset)
-        total, scores = now.evidence
-        shown = readings >= _FEWEST and total * _KNOWN_S**2 > 1.0 and scores**2 > _SIGMAS**2 * total
+        shown = readings >= _FEWEST and scores**2 > _SIGMAS**2 * total
+        if shown:
+            total, scores = now.evidence
+            shown = total * _KNOWN_S**2 > 1.0 and scores**2 > _SIGMAS**2 * total
         return now._replace(is_state=shown)
 
 
@@ -236,10 +238,13 @@ def _jacobian(x: Array, u: Array, lever: Array) -> Array:
 
 
 @njit(cache=True, error_model="numpy")
-def _score(nu: Array, s: Array, hp: Array, column: int) -> tuple[float, float]:
-    """J'^T S^-1 J' and J'^T S^-1 nu, J' (m,) from column tau of H P (m, n); nan where S is not positive definite."""
+def _score(nu: Array, s: Array, hp: Array, column: int, offset: Array) -> tuple[float, float]:
+    """J'^T S^-1 J' and J'^T S^-1 nu, J' (m,) from column tau of H P (m, n); nan where S is not positive definite.
+
+    offset (3, 5) or empty: becomes S^-1 J', S^-1, S^-1 nu of the first three components.
+    """
     m, information, score = nu.shape[0], 0.0, 0.0
-    low, weighed = np.empty((m, m)), np.empty(m)
+    low, weighed, unit = np.empty((m, m)), np.empty(m), np.empty(m)
     for i in range(m):
         weighed[i] = hp[i, column] / _PROBE_S**2
     if not cholesky.factor(s, low):
@@ -248,4 +253,13 @@ def _score(nu: Array, s: Array, hp: Array, column: int) -> tuple[float, float]:
     for i in range(m):
         information += weighed[i] * (hp[i, column] / _PROBE_S**2)
         score += weighed[i] * nu[i]
+    for k in range(offset.shape[0]):
+        for i in range(m):
+            unit[i] = 1.0 if i == k else 0.0
+        cholesky.substitute(low, unit)
+        offset[k, 0] = weighed[k]
+        for i in range(3):
+            offset[k, 1 + i] = unit[i]
+        for i in range(m):
+            offset[k, 4] += unit[i] * nu[i]
     return information, score
