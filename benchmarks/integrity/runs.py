@@ -79,12 +79,12 @@ def measured(flight: Flight, messages: list[Input]) -> Row:
 
 def flown(flight: Flight, messages: list[Input]) -> tuple[dict[int, Estimate], list[Integrity]]:
     """The estimates as published first, by stamp, and the levels."""
-    estimates, others = told(Fusion(msgspec.structs.replace(flight.config, integrity=LIMITS)), messages)
+    estimates, others = outputs_of(Fusion(msgspec.structs.replace(flight.config, integrity=LIMITS)), messages)
     return estimates, [output for output in others if isinstance(output, Integrity)]
 
 
-def told(fusion: Fusion, messages: Iterable[Input]) -> tuple[dict[int, Estimate], list[Output]]:
-    """The first estimate of each stamp, and what else was said."""
+def outputs_of(fusion: Fusion, messages: Iterable[Input]) -> tuple[dict[int, Estimate], list[Output]]:
+    """The first estimate of each stamp, and all other outputs."""
     estimates, others = dict[int, Estimate](), list[Output]()
     for message in messages:
         for output in fusion.handle(message):

@@ -4,15 +4,12 @@
     w = n / (n + m)  where n >= m: nothing decides,     w_0 exp(-(|d| / d_0)^2)  elsewhere: the map may be wrong
 
 d (3,) [m]: to the source's position, of covariance S (3, 3); n, m: sources nearer to it and to the estimate, n also the IMU where
-it contradicts the estimate, m where the source has jumped; w_0: share of conflicts by a wrong map; d_0 [m]: its errors. Fixes
-outweigh a receiver.
-K sources of fixes that are fused, with innovations nu that do not average out, differ from one another:
-
-    m <- m + a (nu - m),   P <- P + sum_k max(1 - 3 E|m|^2 / |m_k|^2, 0) m_k m_k^T / K,   E|m|^2 = a / (2 - a) tr R_k
+it contradicts the estimate, m where the source has jumped; w_0: share of conflicts by a wrong map; d_0 [m]: its errors. One
+receiver does not outweigh fixes.
 """
 
 import math
-from collections.abc import Mapping, Set
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -24,14 +21,12 @@ from estimator.sources.base.gating import gate
 from models.measurements import Measurement, Pose, Position
 from models.messages import Array
 
-VOUCHED_NS = 10_000_000_000  # a source that gave a position since then is one to compare another with
+RECENT_NS = 10_000_000_000  # a source that gave a position since then is one to compare another with
 _XYZ = 3
 _STEADY = 0.5  # change of d from one reading to the next, of its size, of a source that agrees with itself
 _ENOUGH = 3  # such readings
-_GAIN = 0.1
-_TELLS = 3.0  # a source tells two positions apart whose distance squared is larger than so many times its variance
+_RESOLVES = 3.0  # a source distinguishes two positions whose distance squared is larger than so many times its variance
 _CLEARLY = 3.0  # so many times nearer to one position than to the other
-_TINY = 1e-12
 _JUMPS = 100.0  # d^T S^-1 d: a source that drifts off is refused long before
 _SHOWS = 2.0  # times d_0: w is a fiftieth of w_0
 _LASTS_NS = 1_000_000_000  # shorter ones are outliers
@@ -86,72 +81,45 @@ class Apart(NamedTuple):
         return float(self.off @ np.linalg.solve(self.s, self.off))
 
 
-class Place(NamedTuple):
-    """Newest position of a source, off (3,) [m] from the estimate, of variance (trace) [m^2]; mean (3,) of its innovations."""
+class Offset(NamedTuple):
+    """Newest position of a source, off (3,) [m] from the estimate, of variance (trace) [m^2]."""
 
     t_ns: int
     off: Array
     variance: float
-    mean: Array
     is_receiver: bool
-
-    @property
-    def differs(self) -> Array:
-        """What the noise of the innovations does not explain of m m^T, (3, 3)."""
-        noise, size = _GAIN / (2.0 - _GAIN) * self.variance, float(self.mean @ self.mean)
-        return max(1.0 - 3.0 * noise / max(size, _TINY), 0.0) * np.outer(self.mean, self.mean)
 
 
 @dataclass(frozen=True, slots=True)
 class Conflicts:
     """apart: sources in lasting disagreement, by topic; newest: positions of all.
 
-    contrary_ns: last rejected velocity of a receiver, by the topic of its positions; between: covariance (3, 3) of what fused
-    fixes of different sources differ by, None without.
+    contrary_ns: last rejected velocity of a receiver, by the topic of its positions.
     """
 
     apart: dict[str, Apart] = field(default_factory=dict)
     contrary_ns: dict[str, int] = field(default_factory=dict)
-    newest: dict[str, Place] = field(default_factory=dict)
-    between: Array | None = None
+    newest: dict[str, Offset] = field(default_factory=dict)
 
-    def compared(
-        self, aid: Aid, z: Measurement, position_n: Array, nu: Array, *, disagrees: bool, lingers: bool = False
-    ) -> "Conflicts":
-        """After a reading with the innovation nu, estimate at position_n (3,) [m]; lingers: until the source is near."""
+    def compared(self, aid: Aid, z: Measurement, position_n: Array, *, disagrees: bool, lingers: bool = False) -> "Conflicts":
+        """After a reading, estimate at position_n (3,) [m]; lingers: until the source is near."""
         before = self.apart.get(aid.topic)
         if not (isinstance(z, Position | Pose) and len(z.z_n) == len(z.rows[:_XYZ])):
             return self.without(aid.topic)
-        off = z.z_n - position_n
-        newest = {**self.newest, aid.topic: self._place(aid, z, off, nu, disagrees=disagrees)}
-        here = Conflicts(self.apart, self.contrary_ns, newest, self.between)
+        off, s = z.z_n - position_n, z.noise[:_XYZ, :_XYZ]
+        newest = {**self.newest, aid.topic: Offset(aid.t_ns, off, float(s.trace()), aid.geodetic is not None)}
+        here = Conflicts(self.apart, self.contrary_ns, newest)
         if disagrees or (lingers and before):
-            slow = sum(error.covariance for error in aid.slow_errors if len(error.covariance) == _XYZ)
+            s = s + sum(error.covariance for error in aid.slow_errors if len(error.covariance) == _XYZ)
             is_steady = before is not None and np.linalg.norm(off - before.off) < _STEADY * np.linalg.norm(off)
-            now = Apart(aid.t_ns, aid.t_ns, off, z.noise[:_XYZ, :_XYZ] + slow, 0, False)
+            now = Apart(aid.t_ns, aid.t_ns, off, s, 0, False)
             if before is not None:
                 now = now._replace(since_ns=before.since_ns, steady=before.steady + 1 if is_steady else 0, jumped=before.jumped)
-            elif (last := self.newest.get(aid.topic)) is not None and aid.t_ns - last.t_ns < VOUCHED_NS:
+            elif (last := self.newest.get(aid.topic)) is not None and aid.t_ns - last.t_ns < RECENT_NS:
                 now = now._replace(jumped=now.distance2 > _JUMPS)
             if disagrees or not now.is_near:
-                return replace(here, apart={**self.apart, aid.topic: now})._with_between()
-        return here._agrees(aid.topic)._with_between()
-
-    def _place(self, aid: Aid, z: Position | Pose, off: Array, nu: Array, *, disagrees: bool) -> Place:
-        before, apart = self.newest.get(aid.topic), self.apart.get(aid.topic)
-        mean = before.mean if before is not None and aid.t_ns - before.t_ns < VOUCHED_NS else np.zeros(_XYZ)
-        if not disagrees or (apart is not None and apart.steady >= _ENOUGH):
-            mean = mean + _GAIN * (nu[:_XYZ] - mean)
-        return Place(aid.t_ns, off, float(z.noise[:_XYZ, :_XYZ].trace()), mean, aid.geodetic is not None)
-
-    def _with_between(self) -> "Conflicts":
-        fixes = [topic for topic, place in self.newest.items() if not place.is_receiver]
-        if len(fixes) < 2:  # most of the time
-            return self if self.between is None else replace(self, between=None)
-        now_ns = max(self.newest[topic].t_ns for topic in fixes)
-        fused = [t for t in fixes if t not in self.apart and now_ns - self.newest[t].t_ns < VOUCHED_NS]
-        between = np.mean([self.newest[t].differs for t in fused], axis=0) if len(fused) > 1 else np.zeros(_XYZ)
-        return replace(self, between=between if between.any() else None)
+                return replace(here, apart={**self.apart, aid.topic: now})
+        return here._agrees(aid.topic)
 
     def without(self, topic: str) -> "Conflicts":
         """Nothing of this source."""
@@ -161,7 +129,7 @@ class Conflicts:
     def _agrees(self, topic: str) -> "Conflicts":
         return replace(self, apart={t: a for t, a in self.apart.items() if t != topic}) if topic in self.apart else self
 
-    def judged(self, aid: Aid, z: Measurement, position_n: Array, nu: Array, *, is_rejected: bool) -> "Conflicts":
+    def judged(self, aid: Aid, z: Measurement, position_n: Array, *, is_rejected: bool) -> "Conflicts":
         """Once aligned: sources whose positions are rejected, receivers whose velocities are."""
         if aid.receiver and is_rejected:
             return replace(self, contrary_ns=self.contrary_ns | {aid.receiver: aid.t_ns})
@@ -169,15 +137,16 @@ class Conflicts:
             return self
         is_receiver, contrary_ns = aid.log_misled is not None, self.contrary_ns.get(aid.topic)
         is_contrary = is_rejected or (contrary_ns is not None and aid.t_ns - contrary_ns < _LASTS_NS)
-        return self.compared(aid, z, position_n, nu, disagrees=is_contrary, lingers=is_receiver)
+        return self.compared(aid, z, position_n, disagrees=is_contrary, lingers=is_receiver)
 
-    def shares(self, receivers: Set[str], *, doubts_imu: bool) -> dict[str, float]:
+    def shares(self, *, doubts_imu: bool) -> dict[str, float]:
         """n / (n + m) of the sources against which nothing decides, by topic."""
         found = dict[str, float]()
         for topic, apart in self.apart.items():
             nearer, by = self._votes(topic, apart, 1.0)
             n, m = 1 + nearer + doubts_imu, len(by) + apart.jumped
-            is_alone = n == 1 and (not apart.agrees or (topic in receivers and not (by and by <= receivers)))
+            is_outweighed = self.newest[topic].is_receiver and not (by and all(self.newest[t].is_receiver for t in by))
+            is_alone = n == 1 and (is_outweighed or not apart.agrees)
             if n >= m and not is_alone:
                 found[topic] = n / (n + m)
         return found
@@ -193,10 +162,10 @@ class Conflicts:
     def _votes(self, topic: str, apart: Apart, times: float) -> tuple[int, set[str]]:
         """Number of other sources so many times nearer to this one than to the estimate; those that the estimate rests on."""
         distance2, nearer, by = float(apart.off @ apart.off), 0, set[str]()
-        for t, place in self.newest.items():
-            if t == topic or apart.last_ns - place.t_ns >= VOUCHED_NS or distance2 <= times**2 * _TELLS * place.variance:
+        for t, other in self.newest.items():
+            if t == topic or apart.last_ns - other.t_ns >= RECENT_NS or distance2 <= times**2 * _RESOLVES * other.variance:
                 continue
-            if times**2 * np.sum((place.off - apart.off) ** 2) < place.off @ place.off:
+            if times**2 * np.sum((other.off - apart.off) ** 2) < other.off @ other.off:
                 nearer += 1
             elif t not in self.apart:
                 by.add(t)
@@ -204,7 +173,7 @@ class Conflicts:
 
     def added(self, shares: Mapping[str, float]) -> Array:
         """Added covariance of the position, (3, 3)."""
-        total = np.zeros((_XYZ, _XYZ)) if self.between is None else self.between.copy()
+        total = np.zeros((_XYZ, _XYZ))
         for topic, apart in self.apart.items():
             if topic in shares or apart.lasts:
                 total += apart.added(shares.get(topic, apart.by_map))

@@ -5,7 +5,7 @@ from collections.abc import Container, Iterable, Mapping
 
 import numpy as np
 
-from estimator.filter.conflict import VOUCHED_NS, Apart
+from estimator.filter.conflict import RECENT_NS, Apart
 from estimator.filter.hypotheses import Hypotheses
 from estimator.filter.mismatch import Delays, Frame, Jamming, Scatter, delay
 from estimator.filter.relative import drift
@@ -24,7 +24,7 @@ def conflict(hypotheses: Hypotheses | None, absolute: Iterable[str], sources: Ma
         return ""
     (rejected, distance_m), since_s = found, (t_ns - hypotheses.conflict_ns) * 1e-9
     known = (set(absolute) - rejected) & sources.keys()  # a source that was not judged yet has no state
-    used = {topic for topic in known if t_ns - sources[topic].fused_ns < VOUCHED_NS}
+    used = {topic for topic in known if t_ns - sources[topic].fused_ns < RECENT_NS}
     sides = ", ".join(sorted(rejected)), ", ".join(sorted(used)) or "the estimate"
     return f"{sides[0]} and {sides[1]} disagree by {distance_m:.1f} m for {since_s:.0f} s: the covariance covers both"
 

@@ -23,12 +23,24 @@ from estimator.filter.alignment import (
     lacks,
     widen_unaligned,
 )  # fmt: skip
-from estimator.filter.conflict import VOUCHED_NS, Conflicts
+from estimator.filter.conflict import RECENT_NS, Conflicts
 from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.hypotheses import Hypotheses, Hypothesis, Verdict
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.imu_evidence import FELT, ImuEvidence
-from estimator.filter.mismatch import BiasWalk, Delays, Frame, Jamming, Lasting, Scatter, delay, lasting, speed_step
+from estimator.filter.mismatch import (
+    BiasWalk,
+    Delays,
+    Frame,
+    Jamming,
+    Lasting,
+    Means,
+    Scatter,
+    between,
+    delay,
+    lasting,
+    speed_step,
+)  # fmt: skip
 from estimator.filter.relative import steps
 from estimator.filter.relinearise import Stretch
 from estimator.filter.variance_factor import NO_EXCESS
@@ -74,6 +86,8 @@ class Tracker:
         self.kept: dict[str, Kept] = {}  # poses that the filters keep, by topic of odometry
         self.anchor: GnssAnchor | None = None
         self.frames: dict[str, Frame] = {}  # of pose sources; never changed in place
+        self.means: Means = {}  # of sources of fixes
+        self.between: Array | None = None  # (3, 3) of the position, by what they differ by
         self.delays: Delays = {}
         self.lasting: Mapping[str, Lasting] = {}  # of pose sources
         self.late_cov: Array | None = None  # (3, 3) of the position, by a delay that the newest fix may have
@@ -125,7 +139,9 @@ class Tracker:
         lead = bank.members[0]
         if lead.past:
             cov[E.P, E.P] += lead.past.added(lead.fused_ns)
-        if core.conflicts.apart or core.conflicts.between is not None:
+        if core.is_aligned and self.between is not None:
+            cov[E.P, E.P] += self.between
+        if core.conflicts.apart:
             cov[E.P, E.P] += core.conflicts.added(self._undecided)
         if self.late_cov is not None:
             cov[E.P, E.P] += self.late_cov
@@ -141,7 +157,7 @@ class Tracker:
         core, bank = self.core, self.alignment.bank
         if not core.is_aligned or bank is None:
             return dict.fromkeys(core.conflicts.apart, 1.0)
-        return core.conflicts.shares(core.receivers, doubts_imu=bank.members[0].doubts_imu)
+        return core.conflicts.shares(doubts_imu=bank.members[0].doubts_imu)
 
     @property
     def step_covariance(self) -> Array | None:
@@ -158,7 +174,7 @@ class Tracker:
     def shows_mixture(self) -> bool:
         """The covariance shown is the mixture of the hypotheses."""
         core, factor = self.core, self.core.variance_factor
-        agree = not core.conflicts.apart and core.conflicts.between is None
+        agree = not core.conflicts.apart and self.between is None
         is_plain = core.is_aligned and agree and self.alignment.without_sensor is None
         steps = any(step.followed for step in self.speed_steps.values())
         has_past = self.alignment.bank is not None and self.alignment.bank.members[0].past is not None
@@ -425,10 +441,11 @@ class Tracker:
             if self.delays[aid.witness].is_state:
                 core.stretch = None  # a run would leave the delay out
         is_rejected = aid.topic in core.hypotheses.members[0].rejected
-        core.conflicts = core.conflicts.judged(aid, z, core.hypotheses.lead.x[X.P], verdict.seen.nu, is_rejected=is_rejected)
+        core.conflicts = core.conflicts.judged(aid, z, core.hypotheses.lead.x[X.P], is_rejected=is_rejected)
         if not aid.geodetic and core.conflicts.outvotes(aid.topic):
             core.hypotheses.lead_from(aid, z, gyro_b)
-            core.variance_factor, core.conflicts = NO_EXCESS, Conflicts()
+            core.variance_factor, core.conflicts, self.means = NO_EXCESS, Conflicts(), {}
+        self._note_between(aid, z, verdict.seen)
         core.hypotheses.drop(lambda member: bool(self.violation(member.filter)))
         sigma = np.sqrt(verdict.seen.s.diagonal())
         if verdict.fused:
@@ -451,6 +468,14 @@ class Tracker:
         detail = aid.detail if reason is not Reason.GATED else "; ".join(filter(None, (aid.detail, self._conflict())))
         position = position_innovation(z, verdict.seen.nu, verdict.seen.s) if aid.absolute else None
         return Decision(reason, tuple(verdict.seen.nu.tolist()), tuple(sigma.tolist()), ratio, detail, position), state
+
+    def _note_between(self, aid: Aid, z: Measurement, seen: Innovation) -> None:
+        apart = self.core.conflicts.apart
+        if not aid.absolute or aid.geodetic or not isinstance(z, Pose | Position) or len(z.z_n) != len(z.rows[:_XYZ]):
+            return
+        if aid.topic not in apart or apart[aid.topic].agrees:
+            self.means = between.noted(self.means, aid.topic, aid.t_ns, seen.nu, z.noise)
+        self.between = between.covariance(self.means, apart)
 
     def _scattered(self, known: Scatter | Jamming, aid: Aid, verdict: Verdict, *, alone: bool) -> Scatter | Jamming:
         core = self.core
@@ -531,8 +556,9 @@ class Tracker:
         """Go on as the hypothesis that is nearest to the newest position of another source, or begin again."""
         core = self.core
         core.variance_factor, core.conflicts = NO_EXCESS, core.conflicts.without(aid.topic)
+        self.means, self.between = {}, None
         place = max(core.conflicts.newest.values(), key=lambda place: place.t_ns, default=None)
-        if not core.is_aligned or core.hypotheses is None or place is None or aid.t_ns - place.t_ns > VOUCHED_NS:
+        if not core.is_aligned or core.hypotheses is None or place is None or aid.t_ns - place.t_ns > RECENT_NS:
             self.alignment.begin_again()
             return
         position_n = core.hypotheses.lead.x[X.P] + place.off
@@ -545,7 +571,7 @@ class Tracker:
     def _vouched(self, aid: Aid) -> bool:
         """Whether another source gave positions lately, or since a receiver's speed has stepped: an IMU's error grows."""
         others, step = self.core.absolute - {aid.topic}, self.speed_steps.get(aid.topic)
-        within_ns = _PULLED_NS if step is not None and step.net.any() else VOUCHED_NS
+        within_ns = _PULLED_NS if step is not None and step.net.any() else RECENT_NS
         return any(aid.t_ns - self.sources.get(topic, _UNKNOWN).fused_ns < within_ns for topic in others)
 
     def _note_absolute(self, aid: Aid, z: Measurement) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from benchmarks.integrity.runs import told
+from benchmarks.integrity.runs import outputs_of
 from estimator.config import Config, load
 from estimator.fusion import Fusion
 from logs.evaluation.metrics import Times
@@ -38,7 +38,7 @@ def flight(data: Path, folder: str, out: Path) -> tuple[Recording, Config]:
 
 def run(messages: Sequence[Input], config: Config) -> tuple[Track, list[AidStatus]]:
     """Everything through Fusion.handle; the first estimate of each stamp counts."""
-    estimates, others = told(Fusion(config.fusion()), messages)
+    estimates, others = outputs_of(Fusion(config.fusion()), messages)
     track = [estimates[t] for t in sorted(estimates)]
     return Track(
         np.array([e.t_ns for e in track], np.int64),

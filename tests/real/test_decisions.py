@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.flights.tasks import INSIDE95, read_odometry
-from benchmarks.integrity.runs import told
+from benchmarks.integrity.runs import outputs_of
 from estimator.config import load
 from estimator.fusion import Fusion
 from logs.store.reader import LogReader
@@ -35,7 +35,7 @@ def _flown(path: Path) -> tuple[dict[int, Estimate], int]:
     decoder = Decoder(Topics.of(msgspec.to_builtins(config.inputs)), config.mounting())
     with LogReader(path) as reader:
         messages = (decoder.decode(r.topic, r.schema, r.data, r.log_time_ns) for r in reader)
-        estimates, others = told(Fusion(config.fusion()), (m for m in messages if m is not None))
+        estimates, others = outputs_of(Fusion(config.fusion()), (m for m in messages if m is not None))
     return estimates, sum(isinstance(output, Reset) for output in others)
 
 

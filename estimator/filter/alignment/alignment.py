@@ -221,7 +221,7 @@ class Alignment:
                 core.note_variance(aid, seen, LARGEST if lasts else LARGEST_AT_FIRST)
             disagrees = seen.distance2 * core.variance_factor.value > limit
             if persists or not disagrees:
-                core.conflicts = core.conflicts.compared(aid, z, core.hypotheses.lead.x[X.P], seen.nu, disagrees=disagrees)
+                core.conflicts = core.conflicts.compared(aid, z, core.hypotheses.lead.x[X.P], disagrees=disagrees)
         self._note_contradiction(aid, z, foreseen=foreseen)
         if core.hypotheses is None:
             return

@@ -5,7 +5,7 @@
     J' = E[nu tau] / s0^2,   A = sum J'^T S^-1 J',   b = sum J'^T S^-1 nu,   b / sqrt(A) ~ N(0, 1) where tau = 0
     P <- P + E[tau^2] v v^T,   E[tau^2] = 1 / (A + s^-2) + (b / (A + s^-2))^2
 
-Beside another source, a constant difference of the two positions c ~ N(0, 3 m) explains them too, nu = J' tau + c + e:
+With another source, a constant difference of the two positions c ~ N(0, 3 m) explains them too, nu = J' tau + c + e:
 
     A <- A - B^T (C + I / 3^2)^-1 B,   b <- b - B^T (C + I / 3^2)^-1 d,   C, B, d = sum (S^-1)_pp, (S^-1 J')_p, (S^-1 nu)_p
 
@@ -86,7 +86,7 @@ class Delay(NamedTuple):
     ) -> "Delay":
         """The evidence with one more innovation; column: of tau in P; weight: of a reading that shares errors with the last.
 
-        gate: a reading beyond it counts only where it shows a delay by itself; apart: of a position, beside another source.
+        gate: a reading beyond it counts only where it shows a delay by itself; apart: of a position, with another source.
         """
         if self.is_state:
             return self

@@ -66,11 +66,22 @@ def _ratio(run: Run, flight: Simulation) -> Array:
 def test_the_covariance_contains_both(flight: Simulation, north_m: float, topic: str) -> None:
     run = _both(flight, _north(north_m), topic)
     assert np.mean(_ratio(run, flight) < 7.8) > 0.9
+    assert np.median(radii(within(run.estimates, 10.0, 50.0))) < 2.5 * north_m + 0.5
     assert (north_m < 3.0) or "the covariance covers it" in run.health[-1].detail
 
 
 def test_two_that_agree_are_not_widened(flight: Simulation) -> None:
-    assert np.mean(_ratio(_both(flight, _north(0.0), "/z"), flight)) > 1.0
+    assert 1.0 < np.mean(_ratio(_both(flight, _north(0.0), "/z"), flight)) < 5.0
+
+
+def test_one_false_fix_is_no_difference(flight: Simulation) -> None:
+    false_ns = flight.messages[0].t_ns + 25 * SECOND
+
+    def once(m: PoseFix) -> PoseFix:
+        return _north(50.0)(m) if false_ns <= m.t_ns < false_ns + SECOND // 2 else m
+
+    run = _both(flight, once, "/z")
+    assert max(radii(within(run.estimates, 27.0, 50.0, every=1))) < 1.5
 
 
 @pytest.mark.parametrize("north_m", [20.0, 200.0])
