@@ -475,7 +475,7 @@ class Tracker:
             return
         if aid.topic not in apart or apart[aid.topic].agrees:
             self.means = between.noted(self.means, aid.topic, aid.t_ns, seen.nu, z.noise)
-        self.between = between.covariance(self.means, apart)
+        self.between = between.covariance(self.means, {topic for topic, other in apart.items() if other.agrees})
 
     def _scattered(self, known: Scatter | Jamming, aid: Aid, verdict: Verdict, *, alone: bool) -> Scatter | Jamming:
         core = self.core

@@ -44,11 +44,11 @@ def noted(means: Means, topic: str, t_ns: int, nu: Array, noise: Array) -> Means
     return {**means, topic: Mean(t_ns, m + _GAIN * (nu[:_XYZ] - m), float(noise[:_XYZ, :_XYZ].trace()))}
 
 
-def covariance(means: Means, rejected: Container[str]) -> Array | None:
-    """Of the position, (3, 3); None where fewer than two sources are fused, or they agree."""
+def covariance(means: Means, without: Container[str]) -> Array | None:
+    """Of the position, (3, 3), without sources that are in conflict; None of fewer than two, or where they agree."""
     if len(means) < 2:  # most of the time
         return None
     now_ns = max(mean.t_ns for mean in means.values())
-    fused = [mean for topic, mean in means.items() if topic not in rejected and now_ns - mean.t_ns < RECENT_NS]
+    fused = [mean for topic, mean in means.items() if topic not in without and now_ns - mean.t_ns < RECENT_NS]
     added = np.mean([mean.differs for mean in fused], axis=0) if len(fused) > 1 else np.zeros(_XYZ)
     return added if added.any() else None
