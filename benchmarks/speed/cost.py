@@ -71,7 +71,7 @@ def messages(scene: Scene) -> list[Input]:
         found += _imu(rng, "/imu" if k == 0 else f"/imu{k}", k * STEP_NS // 4)
     for t_ns in _stamps(scene.fixes_hz, STEP_NS // 3):
         p, yaw = _pose(t_ns)
-        found.append(_fix(t_ns, p + 0.15 * rng.standard_normal(3), yaw, round(scene.late_s * 1e9)))
+        found.append(_fix(t_ns, p, yaw, round(scene.late_s * 1e9)))
     for t_ns in _stamps(scene.gnss_hz, STEP_NS // 2):
         p, yaw = _pose(t_ns)
         found.append(_gnss(t_ns, p + 0.5 * rng.standard_normal(3)))

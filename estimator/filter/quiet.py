@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from estimator.filter.bounds import is_within
-from estimator.filter.hypotheses.mixture import mix, scaled, shares
+from estimator.filter.hypotheses.mixture import mix, scale, shares
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.tracker import Tracker
 from models import imu, sampling
@@ -18,14 +18,15 @@ from models.messages import Array, ImuSample
 from models.state import E, X, sound
 
 _N, _XN, _P = E.SIZE, X.SIZE, E.P.start  # compiled code reads plain integers
-_NO_DELAY = np.zeros((3, 3))
+_NOTHING = np.zeros((3, 3))
+_NO_FACTORS = 0.0, 0.0  # another hypothesis follows
 
 
 class Quiet:
     """A publishing tracker at the newest sample, nothing to process for `left` samples and until_ns."""
 
     __slots__ = (
-        "_is_plain", "_late", "_later", "_lead", "_limits", "_others", "_root", "_share", "left", "mode", "samples", "tracker",
+        "_added", "_factors", "_is_whole", "_lead", "_limits", "_others", "_root", "_share", "left", "mode", "samples", "tracker",
         "until_ns",
     )  # fmt: skip
 
@@ -38,11 +39,11 @@ class Quiet:
         members = tracker.alignment.members
         weights += [0.0] * (len(members) - len(bank.members))  # of those without the sensor of the heading
         self._others = [(member.filter, share) for member, share in zip(members[1:], weights, strict=True)]
-        self._root = math.sqrt(self._lead.variance_factor)
-        self._limits, self._is_plain, late = tracker.limits, tracker.shows_mixture, tracker.late_cov
-        ends = self._is_plain and not self._others and self._root == 1.0  # the covariance, in the compiled call
-        self._late = late if ends and late is not None else _NO_DELAY
-        self._later = None if ends or not self._is_plain else late
+        factor = self._lead.variance_factor
+        self._root, self._limits, self._is_whole = math.sqrt(factor), tracker.limits, tracker.shows_mixture
+        self._factors = factor, tracker.lasting_ratio if self._is_whole else 1.0
+        added = tracker.added if self._is_whole else None
+        self._added = _NOTHING if added is None else added
 
     def take(self, sample: ImuSample) -> tuple[Array, Array] | None:
         """Append the sample and propagate: nav (16,) and covariance (15, 15) to publish; None: out of bounds."""
@@ -51,14 +52,15 @@ class Quiet:
         buffer, read = (samples.t_ns, samples.u, samples.known), (*sample.gyro_b, *sample.accel_b)
         is_good = _take(
             lead.x, lead.cov, *buffer, index, lead.t_ns, t_ns, *read, lead.constants, slow.tau_s, slow.psd, *self._limits,
-            self._share, 0.0, self._late, nav, covariance,
+            self._share, 0.0, *(_NO_FACTORS if self._others else self._factors), self._added, nav, covariance,
         )  # fmt: skip
         lead.t_ns = self.tracker.core.t_ns = t_ns
+        left = len(self._others)
         for eskf, share in self._others:
-            slow = eskf.slow
+            slow, left = eskf.slow, left - 1
             eskf.sound = _take(
                 eskf.x, eskf.cov, *buffer, index, eskf.t_ns, t_ns, *read, eskf.constants, slow.tau_s, slow.psd, *self._limits,
-                share, self._root, _NO_DELAY, nav, covariance,
+                share, self._root, *(_NO_FACTORS if left else self._factors), self._added, nav, covariance,
             )  # fmt: skip
             eskf.t_ns = t_ns
         samples.end_next(t_ns)
@@ -66,43 +68,42 @@ class Quiet:
         if not is_good:
             lead.sound = sound(lead.x, lead.cov)
             return None
-        if self._root != 1.0:
-            covariance = scaled(covariance, lead.variance_factor)
-        if not self._is_plain:
-            covariance = self.tracker.shown_covariance(covariance)
-        elif self._later is not None:
-            covariance[E.P, E.P] += self._later
-        return nav, covariance
+        return nav, covariance if self._is_whole else self.tracker.shown_covariance(covariance)
 
 
 @njit(cache=True, error_model="numpy")
 def _take(
     x: Array, cov: Array, t_ns: NDArray[np.int64], u: Array, known: Array, i: int, from_ns: int, to_ns: int,
     wx: float, wy: float, wz: float, fx: float, fy: float, fz: float, c: Array, tau: Array, psd: Array,
-    fastest: float, least_down: float, most_down: float, sigma: float, share: float, root: float, late: Array, nav: Array,
-    covariance: Array,
+    fastest: float, least_down: float, most_down: float, sigma: float, share: float, root: float, factor: float,
+    ratio: float, added: Array, nav: Array, covariance: Array,
 ) -> bool:  # fmt: skip
     """x, P (n, n) of a hypothesis to sample i (w, f) at to_ns; whether the state is sound.
 
-    root: 0 of the leading one, which comes first: it puts the sample into the buffer, nav <- x, covariance <- share P of the 15,
-    late (3, 3) added to the position's.
-    False: or it may be out of bounds. Of another one f^1/2: its share of the covariance is added (mixture.mix). The rest as
-    imu.propagate and bounds.is_within.
+    root: 0 of the leading one, which comes first: it puts the sample into the buffer, nav <- x, covariance <- share P of the 15.
+    False: or it may be out of bounds. Of another one f^1/2: its share of the covariance is added (mixture.mix). factor: 0 but of
+    the last one, then f: covariance <- ratio f covariance, added (3, 3) to the position's. The rest as imu.propagate and
+    bounds.is_within.
     """
     leads = root == 0.0
     if leads:
         sampling.put(t_ns, u, known, i, i + 1, to_ns, wx, wy, wz, fx, fy, fz)
     good: bool = imu.advance(x, cov, np.empty((0, 0)), t_ns, u, known, i + 1, i, from_ns, to_ns, c, tau, psd)
-    if not leads:
-        if share > 0.0:
-            mix(covariance, share, cov, nav, x, root)
-        return good
-    for k in range(_XN):
-        nav[k] = x[k]
-    for k in range(_N):
-        for j in range(_N):
-            covariance[k, j] = share * cov[k, j]
-    for k in range(3):
-        for j in range(3):
-            covariance[_P + k, _P + j] += late[k, j]
-    return good and is_within(x, cov, fastest, least_down, most_down, sigma)
+    if leads:
+        for k in range(_XN):
+            nav[k] = x[k]
+        for k in range(_N):
+            for j in range(_N):
+                covariance[k, j] = share * cov[k, j]
+        good = good and is_within(x, cov, fastest, least_down, most_down, sigma)
+    elif share > 0.0:
+        mix(covariance, share, cov, nav, x, root)
+    if factor > 0.0:
+        scale(covariance, factor)
+        for k in range(_N):
+            for j in range(_N):
+                covariance[k, j] *= ratio
+        for k in range(3):
+            for j in range(3):
+                covariance[_P + k, _P + j] += added[k, j]
+    return good

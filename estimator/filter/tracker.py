@@ -134,22 +134,33 @@ class Tracker:
         cov = bank.covariance() if mixed is None else mixed
         if not core.is_aligned:
             widen_unaligned(cov, bank, core.config.initialise)
-        if core.variance_factor.lasting > core.variance_factor.value:
-            cov *= core.variance_factor.lasting / core.variance_factor.value
-        lead = bank.members[0]
-        if lead.past:
-            cov[E.P, E.P] += lead.past.added(lead.fused_ns)
-        if core.is_aligned and self.between is not None:
-            cov[E.P, E.P] += self.between
-        if core.conflicts.apart:
-            cov[E.P, E.P] += core.conflicts.added(self._undecided)
-        if self.late_cov is not None:
-            cov[E.P, E.P] += self.late_cov
+        cov *= self.lasting_ratio
+        if (added := self.added) is not None:
+            cov[E.P, E.P] += added
         if (stepped := self.step_covariance) is not None:
             cov += stepped
         if core.is_aligned and self.alignment.without_sensor is not None:
             return self.alignment.without_sensor.mixed(cov, bank.lead.x)
         return cov
+
+    @property
+    def lasting_ratio(self) -> float:
+        """Of the published variance factor to the present one."""
+        factor = self.core.variance_factor
+        return max(factor.lasting / factor.value, 1.0)
+
+    @property
+    def added(self) -> Array | None:
+        """(3, 3) of the position, by what no hypothesis has: former fixes, other sources, a delay; None: nothing."""
+        core, bank = self.core, self.alignment.bank
+        found = [] if self.late_cov is None else [self.late_cov]
+        if core.is_aligned and self.between is not None:
+            found.append(self.between)
+        if core.conflicts.apart:
+            found.append(core.conflicts.added(self._undecided))
+        if bank is not None and (past := bank.members[0].past):
+            found.append(past.added(bank.members[0].fused_ns))
+        return sum(found[1:], start=found[0]) if found else None
 
     @property
     def _undecided(self) -> Mapping[str, float]:
@@ -172,13 +183,9 @@ class Tracker:
 
     @property
     def shows_mixture(self) -> bool:
-        """The covariance shown is the mixture of the hypotheses."""
-        core, factor = self.core, self.core.variance_factor
-        agree = not core.conflicts.apart and self.between is None
-        is_plain = core.is_aligned and agree and self.alignment.without_sensor is None
+        """The covariance shown is the mixture of the hypotheses, but for a factor and what is added to the position."""
         steps = any(step.followed for step in self.speed_steps.values())
-        has_past = self.alignment.bank is not None and self.alignment.bank.members[0].past is not None
-        return is_plain and not has_past and not factor.lasting > factor.value and not steps
+        return self.core.is_aligned and self.alignment.without_sensor is None and not steps
 
     @property
     def limits(self) -> tuple[float, float, float, float]:

@@ -13,7 +13,7 @@ from estimator.filter.hypotheses.hypothesis import Hypothesis
 from models.messages import Array
 from models.state import E, local
 
-_N = E.SIZE  # compiled code reads plain integers
+_N, _T = E.SIZE, E.THETA.start  # compiled code reads plain integers
 _OF_STATE = (slice(0, _N), slice(0, _N))  # of P
 _HALF_TURN = 3.14  # rad
 
@@ -25,7 +25,8 @@ def covariance(members: list[Hypothesis]) -> Array:
     for share, member in zip(others, members[1:], strict=True):
         if share:
             mix(total, share, member.filter.cov, lead.x, member.filter.x, root)
-    return scaled(total, lead.variance_factor)
+    scale(total, lead.variance_factor)
+    return total
 
 
 def shares(members: list[Hypothesis]) -> list[float]:
@@ -44,16 +45,22 @@ def ln_sum(terms: list[float]) -> float:
     return top + math.log(sum(math.exp(term - top) for term in terms))
 
 
-def scaled(cov: Array, factor: float) -> Array:
-    """f P (15, 15); an attitude has no sigma beyond half a turn."""
+@njit(cache=True, error_model="numpy")
+def scale(cov: Array, factor: float) -> None:
+    """P <- f P (15, 15), in place; an attitude has no sigma beyond half a turn."""
     if factor == 1.0:
-        return cov
-    wider = factor * cov
-    sigma = math.sqrt(max(wider.diagonal()[E.THETA].tolist()))
+        return
+    for i in range(_N):
+        for j in range(_N):
+            cov[i, j] *= factor
+    sigma = math.sqrt(max(cov[_T, _T], cov[_T + 1, _T + 1], cov[_T + 2, _T + 2]))
     if sigma > _HALF_TURN:
-        wider[E.THETA] *= _HALF_TURN / sigma
-        wider[:, E.THETA] *= _HALF_TURN / sigma
-    return wider
+        for i in range(_T, _T + 3):
+            for j in range(_N):
+                cov[i, j] *= _HALF_TURN / sigma
+        for i in range(_N):
+            for j in range(_T, _T + 3):
+                cov[i, j] *= _HALF_TURN / sigma
 
 
 @njit(cache=True)
