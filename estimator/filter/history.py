@@ -17,7 +17,7 @@ from estimator.filter.tracker import Tracker
 from estimator.sources.base.aid import Aid
 from models.messages import Array, ImuSample, Reason
 
-_CHECKPOINT_SAMPLES = 32  # IMU samples between checkpoints: a copy costs about as much as ten samples
+_CHECKPOINT_SAMPLES = 128  # IMU samples between checkpoints: one costs about as much as going through thirty again
 _MEASUREMENT_NS = 2_500_000  # between two samples, of what came late, one for each so long: a slice fits into the time
 _TICK_MEASUREMENT_NS = 5_000_000  # between two ticks, one for each so long: samples that wait need the rest of the time
 _PACE = 2  # a slice covers this many times the interval between the newest two samples

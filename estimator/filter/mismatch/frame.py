@@ -79,24 +79,25 @@ class Moments(NamedTuple):
         if n < 2 * _PAIRS or n % _PAIRS:
             return None
         centred = self.sums[:, 1:, 1:] - self.sums[:, 1:, :1] * self.sums[:, :1, 1:] / n
-        s_a, s_da, s_d = centred[:, :_XYZ, :_XYZ], centred[:, _XYZ:, :_XYZ], max(float(np.trace(centred[0, _XYZ:, _XYZ:])), _TINY)
-        s_aa = np.maximum(np.trace(s_a, axis1=1, axis2=2), _TINY)[:, None]
-        along = np.einsum("vij,mij->vm", s_da, _MAPS)
+        s_a, s_da, s_d = centred[:, :_XYZ, :_XYZ], centred[:, _XYZ:, :_XYZ], max(float(centred[0, _XYZ:, _XYZ:].trace()), _TINY)
+        s_aa = np.maximum(s_a.trace(axis1=1, axis2=2), _TINY)[:, None]
+        along = s_da.reshape(2, -1) @ _MAPS.reshape(len(_MAPS), -1).T
         k = np.maximum(along, 0.0) / s_aa
         k = np.stack((np.ones_like(k), np.where((k > _NO_UNIT[0]) & (k < _NO_UNIT[1]), 1.0, k)))
         left = (s_d - 2.0 * k * along + k * k * s_aa) / s_d  # (k, attitude, M)
-        free = 1.0 - np.einsum("vij,vij->v", s_da, s_da @ np.linalg.pinv(s_a, hermitian=True)) / s_d
         cost = n * np.log(np.maximum(left, _TINY)) + _CHANGES
         wrong = (self.left > _TURN_LEFT * self.rotation) | (np.abs(self.sums[:, 0, _XYZ]) > _HEAVY_M_S * n)
         is_explained = (left < _LEFT) & ~wrong[:, None]
         at = np.unravel_index(int(np.where(is_explained, cost, math.inf).argmin()), left.shape)
         best, asked = float(cost[at]), float(cost[0, 0, 0])
-        is_turn = not at[0] and not at[1] and _TURNS[at[2]]
-        if not is_explained[at] or is_turn or best > n * math.log(max(float(free[at[1]]), _TINY)) + _CHANGES[at[2]] + _WORSE:
-            return None
         cost[:, at[1], at[2]] = math.inf
         other = asked if any(at) else float(cost.min())
-        return (int(at[1]), _MAPS[at[2]], float(k[at])) if other - best > _EVIDENCE else None
+        is_turn = not at[0] and not at[1] and _TURNS[at[2]]
+        if not is_explained[at] or is_turn or other - best <= _EVIDENCE:
+            return None
+        free = 1.0 - float(np.trace(s_da[at[1]] @ np.linalg.pinv(s_a[at[1]], hermitian=True) @ s_da[at[1]].T)) / s_d
+        is_worse = best > n * math.log(max(free, _TINY)) + _CHANGES[at[2]] + _WORSE
+        return None if is_worse else (int(at[1]), _MAPS[at[2]], float(k[at]))
 
 
 class Frame(NamedTuple):

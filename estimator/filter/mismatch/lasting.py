@@ -25,7 +25,7 @@ _LN_MEAN = -0.369  # E ln (chi2_3 / 3)
 _BOUND = 1.65  # three sigmas of y
 _LEAST_LN, _MOST_LN = -6.0, 2.0
 _APART_S = 1.1  # fixes further apart are not compared
-_XYZ = 3
+_XYZ, _P, _THETA = 3, slice(0, 3), slice(3, 6)
 
 
 class Lasting(NamedTuple):
@@ -55,11 +55,11 @@ class Lasting(NamedTuple):
         if len(last) < _XYZ:
             return Lasting(t_ns, last, self.ln)
         (a, r_a), (b, r_b), (c, r_c) = last
-        position, attitude = (
-            y + _GAIN * (_ln(mahalanobis((a - 2.0 * b + c)[at], (r_a + 4.0 * r_b + r_c)[at, at])[0]) - _LN_MEAN - y)
-            for y, at in zip(self.ln, (slice(0, _XYZ), slice(_XYZ, 2 * _XYZ)), strict=True)
-        )
-        return Lasting(t_ns, last[1:], (position, attitude))
+        d, r = a - 2.0 * b + c, r_a + 4.0 * r_b + r_c
+        position, attitude = _ln(mahalanobis(d[_P], r[_P, _P])[0]), _ln(mahalanobis(d[_THETA], r[_THETA, _THETA])[0])
+        before = self.ln
+        ln = before[0] + _GAIN * (position - _LN_MEAN - before[0]), before[1] + _GAIN * (attitude - _LN_MEAN - before[1])
+        return Lasting(t_ns, last[1:], ln)
 
 
 def carried(aid: Aid, z: Measurement, known: Mapping[str, Lasting]) -> tuple[Aid, Measurement]:
