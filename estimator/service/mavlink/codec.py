@@ -89,6 +89,11 @@ class Place(NamedTuple):
     sea_m: float
 
 
+def is_of_now(message: Any) -> bool:
+    """Whether its time is its own: ArduPilot gives a receiver without a fix the time of its last one, or 0."""
+    return bool(getattr(message, "fix_type", _FIX_3D) > mavlink.GPS_FIX_TYPE_NO_FIX)
+
+
 def stamp_ns(message: Any) -> int:
     """The message's own time; 0 without."""
     if hasattr(message, "time_usec"):

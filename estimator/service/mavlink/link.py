@@ -303,7 +303,7 @@ class MavlinkLink:
                 inbox.put(measurement)
         else:
             before = self._boot.reboots
-            t_ns = self._boot.t_ns(codec.stamp_ns(message), now_ns)
+            t_ns = self._boot.t_ns(codec.stamp_ns(message), now_ns) if codec.is_of_now(message) else now_ns
             if self._boot.reboots != before:
                 self._ask_again()
             if t_ns is not None:

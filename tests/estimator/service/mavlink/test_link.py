@@ -369,7 +369,7 @@ def test_after_a_reboot_of_ardupilot_its_old_origin_is_not_used() -> None:
 
         def rebooted() -> bool:
             autopilot.imu()
-            return bool(link.report()["reboots"] == 1)
+            return bool(link.report()["reboots"] == 1 and "not known" in link.report()["ekf_origin"])
 
         autopilot.until(rebooted, "the reboot is noticed", beats=False)
         link.send([_estimate(clock.now_ns())], [])
@@ -464,6 +464,16 @@ def test_a_single_implausible_stamp_is_not_used() -> None:
         autopilot.listen(0.1)
         assert len(inbox.got) == 1
         assert (link.report()["implausible_stamps"], link.report()["reboots"]) == (2, 0)
+
+
+def test_a_receiver_without_a_fix_is_heard_and_its_old_stamps_are_no_reboot() -> None:
+    with _px4(kind=ARDUPILOT) as (link, inbox, clock, autopilot):
+        autopilot.until(lambda: link.report()["timesync_answers"], "clocks are in step")
+        for stamp_us in [0] * 6 + [autopilot.boot_us() - 60_000_000] * 6:
+            autopilot.say(mavlink.MAVLink_gps_raw_int_message(stamp_us, 1, 0, 0, 0, 65535, 65535, 0, 0, 0))
+        autopilot.until(lambda: len(inbox.got) == 12, "twelve without a fix")
+        assert all(fix.status < 0 and abs(fix.t_ns - clock.now_ns()) < 10 * SECOND for fix in inbox.of(GnssFix))
+        assert (link.report()["implausible_stamps"], link.report()["reboots"]) == (0, 0)
 
 
 def test_raw_imu_stands_in_with_a_warning_until_the_good_one_comes(monkeypatch: pytest.MonkeyPatch) -> None:
