@@ -38,7 +38,10 @@ _identity = cache(np.eye)
 
 
 class Innovation(NamedTuple):
-    """One measurement against one state: nu (m,), H and H P (m, n), R, f S (m, m), nu^T (f S)^-1 nu, ln det f S."""
+    """One measurement against one state: nu (m,), H and H P (m, n), R, f S (m, m), nu^T (f S)^-1 nu, ln det f S.
+
+    besides: ln density of what is left out of it.
+    """
 
     nu: Array
     h: Array
@@ -47,11 +50,17 @@ class Innovation(NamedTuple):
     s: Array
     distance2: float
     logdet: float
+    besides: float = 0.0
 
     @property
     def log_likelihood(self) -> float:
         """ln N(nu; 0, S)."""
-        return -0.5 * (self.distance2 + self.logdet + len(self.nu) * _LN_2PI)
+        return self.besides - 0.5 * (self.distance2 + self.logdet + len(self.nu) * _LN_2PI)
+
+    def first(self, m: int) -> "Innovation":
+        """Of its first m components alone."""
+        s = self.s[:m, :m]
+        return Innovation(self.nu[:m], self.h[:m], self.hp[:m], self.noise[:m, :m], s, *mahalanobis(self.nu[:m], s))
 
 
 class Eskf:

@@ -426,23 +426,28 @@ class Tracker:
         trusted = trusted and known.is_aid
         if known.factor > 1.0 and isinstance(z, Pose | Position | Velocity):
             z = replace_in(z, noise=known.widened(z.noise))
-        verdict = core.hypotheses.judge(aid, z, gyro_b, trusted=trusted, vouched=aid.absolute and self._vouched(aid))
+        proven = core.variance_factor.is_proven
+        vouched = aid.absolute and self._vouched(aid)
+        verdict = core.hypotheses.judge(aid, z, gyro_b, trusted=trusted, vouched=vouched, proven=proven)
         if (aid.absolute or aid.receiver) and isinstance(z, Pose | Position | Velocity):
             now = self._scattered(known, aid, verdict, alone=alone)
             self.scatter = {**self.scatter, aid.topic: now}
+        if verdict.used is not verdict.seen:
+            core.stretch = None  # a run would fuse the attitude
         for topic in verdict.wrong:
             self.sources[topic] = self.sources.get(topic, _UNKNOWN).refuted(aid.t_ns)
         if trusted and aid.absolute and not verdict.explained:
-            core.note_variance(aid, verdict.seen)
-        if verdict.fused and aid.absolute and alone and not aid.geodetic:  # two sources that disagree are no motion
-            self._note_biases(aid, verdict.seen)
+            core.note_variance(aid, verdict.used)
+        agree = alone or not (core.conflicts.apart or self.between is not None)  # sources that disagree are no motion
+        if verdict.fused and aid.absolute and agree and not aid.geodetic:
+            self._note_biases(aid, verdict.used)
         if aid.absolute or aid.receiver:
             self.failed = {**self.failed, aid.topic: 0 if verdict.passed else self.failed.get(aid.topic, 0) + 1}
         apart = core.conflicts.apart.get(aid.witness)
         may_be_late = apart is None or delay.explains(apart.off, apart.s, core.hypotheses.lead.x)
         if trusted and may_be_late and (aid.absolute or aid.receiver):
             weight = self.lasting[aid.topic].weight if aid.topic in self.lasting else 1.0
-            self.delays = delay.noted(aid, verdict.seen, verdict.gate, self.delays, core.hypotheses.members, weight, alone=alone)
+            self.delays = delay.noted(aid, verdict.used, verdict.gate, self.delays, core.hypotheses.members, weight, alone=alone)
             if aid.absolute and (aid.delay_sigma_s or alone):
                 self.late_cov = self.delays[aid.witness].covariance(aid.delay_sigma_s, core.hypotheses.lead.x[X.V])
             if self.delays[aid.witness].is_state:
@@ -471,7 +476,7 @@ class Tracker:
             core.hypotheses.leave(aid.witness)
         if not aid.weighs and not verdict.passed:
             state = state.held(aid.rules, aid.t_ns, alone=alone)
-        ratio = verdict.seen.distance2 / verdict.gate
+        ratio = verdict.used.distance2 / verdict.gate
         detail = aid.detail if reason is not Reason.GATED else "; ".join(filter(None, (aid.detail, self._conflict())))
         position = position_innovation(z, verdict.seen.nu, verdict.seen.s) if aid.absolute else None
         return Decision(reason, tuple(verdict.seen.nu.tolist()), tuple(sigma.tolist()), ratio, detail, position), state
@@ -488,7 +493,7 @@ class Tracker:
         core = self.core
         if isinstance(known, Jamming):
             return known.also(aid.t_ns, verdict.seen, core.variance_factor.value)
-        now = known.also(aid.t_ns, verdict.seen, fused=verdict.fused)
+        now = known.also(aid.t_ns, verdict.seen, fused=verdict.fused and verdict.used is verdict.seen)
         if core.hypotheses is not None and alone and known.factor == 1.0 < now.factor and now.by_chance:
             core.hypotheses.lead.admit_noise(verdict.seen, now.widened(verdict.seen.noise), now.by_chance)
         return now

@@ -51,10 +51,15 @@ class VarianceFactor(NamedTuple):
     usual: int = 0
     lasting: float = 1.0
 
+    @property
+    def is_proven(self) -> bool:
+        """The model has been right for a while: what contradicts it then is a false fix, or a wrong IMU."""
+        return self.usual >= _ENOUGH
+
     def also(self, topic: str, t_ns: int, distance2: float, dof: int, largest: float | None = None) -> "VarianceFactor":
         """With one more squared Mahalanobis distance, at f = 1; r above `largest` does not count."""
         if largest is None:
-            largest = LARGEST if self.usual >= _ENOUGH else LARGEST_AT_FIRST
+            largest = LARGEST if self.is_proven else LARGEST_AT_FIRST
         before, middle = self.recent.get(topic), gate(0.5, dof)
         ratio, ratios = distance2 / middle, before.ratios if before else ()
         if ratio <= largest:
@@ -65,7 +70,7 @@ class VarianceFactor(NamedTuple):
         seconds = (t_ns - self.t_ns) * 1e-9
         value = max(excess, _faded(self.value, seconds, _FADES_S))
         lasting = max(excess, _faded(self.lasting, seconds, _LASTS_S))
-        in_a_row = self.usual if self.usual >= _ENOUGH else self.usual + 1 if excess == 1.0 else 0
+        in_a_row = self.usual if self.is_proven else self.usual + 1 if excess == 1.0 else 0
         return VarianceFactor(value, t_ns, recent, in_a_row, lasting)
 
 

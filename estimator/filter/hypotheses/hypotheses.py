@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.filter.eskf import Eskf, Innovation
-from estimator.filter.hypotheses import follower, left_out
+from estimator.filter.hypotheses import attitude, follower, left_out
 from estimator.filter.hypotheses.evidence import Evidence, noisier, weighed
 from estimator.filter.hypotheses.follower import AGAIN_S
 from estimator.filter.hypotheses.hypothesis import FORGET, MARGIN, RUN_ENDS_S, SENSORS, Doubt, Hypothesis
@@ -42,9 +42,12 @@ _TINY = 1e-9
 
 
 class Verdict(NamedTuple):
-    """The leader's answer; explained: it refused what a new follower fused; wrong: sensors that the leader does without."""
+    """The leader's answer; used: what of the reading counts; explained: it refused what a new follower fused; wrong: sensors that
+    the leader does without.
+    """
 
     seen: Innovation
+    used: Innovation
     gate: float
     passed: bool
     fused: bool
@@ -120,36 +123,41 @@ class Hypotheses:
             if block in member.filter.slow.columns:
                 member.filter.forget(block)
 
-    def judge(self, aid: Aid, z: Measurement, gyro_b: Array, *, trusted: bool, vouched: bool = False) -> Verdict:
+    def judge(
+        self, aid: Aid, z: Measurement, gyro_b: Array, *, trusted: bool, vouched: bool = False, proven: bool = False
+    ) -> Verdict:
         """Let every hypothesis judge a measurement.
 
-        trusted: the source's machine permits fusion; vouched: another source gave positions lately.
+        trusted: the source's machine permits fusion; vouched: another source gave positions lately; proven: the filter has been
+        right for a while.
         """
         limit = gate(aid.rules.gate_probability, len(z.rows))
         for member in self.members:
             if member.doubts_imu:  # nothing shows its attitude until the IMU is right again
                 member.filter.limit_attitude()
         seen = [innovation(m.filter, aid, z, gyro_b) for m in self.members]
-        passed = [s.distance2 <= limit for s in seen]
+        as_it_came = seen[0]
         if not trusted:
-            return Verdict(seen[0], limit, passed[0], fused=False)
+            return Verdict(as_it_came, as_it_came, limit, as_it_came.distance2 <= limit, fused=False)
+        seen, passed, whole = attitude.judged(self.members, aid, z, seen, limit, proven=proven)
         if passed[0] and aid.is_sensor:
             self.sensed |= {aid.topic}
         if not aid.weighs:
             for member, by_member, fits in zip(self.members, seen, passed, strict=True):
                 if fits and member.without != SENSORS:
                     member.filter.update(by_member)
-            return Verdict(seen[0], limit, passed[0], passed[0])
+            return Verdict(as_it_came, as_it_came, limit, passed[0], passed[0])
         left_out.end(self.members[0], aid, passed=passed[0])
         if vouched and passed[0] and left_out.add(self.members, aid):
             seen.append(seen[0])
             passed.append(True)
+            whole = [*whole, whole[0]]
         set_aside = left_out.is_confirmed(self.members[0], aid)
         newborn = None
-        if aid.absolute and not set_aside and not self._is_predicted(aid, passed):
+        if aid.absolute and not set_aside and not self._is_predicted(aid, whole):
             newborn = follower.begin(self.members[0], aid, z, gyro_b, limit, vouched=vouched)
         anew = aid.absolute and not set_aside and not passed[0] and aid.topic not in self.members[0].doubts
-        may_be_misled = newborn is not None and not left_out.has_jumped(self.members, aid)
+        may_be_misled = newborn is not None and not passed[0] and not left_out.has_jumped(self.members, aid)
         evidence = weighed(self.members, aid, seen, passed, vouched=vouched)
         born: list[Hypothesis] = []
         fused = self._answers(evidence, born)
@@ -172,7 +180,8 @@ class Hypotheses:
         wrong = frozenset[str]()
         if self.members[0].without == SENSORS:
             self.members[0].without, wrong, self.sensed = "", self.sensed, wrong
-        return Verdict(seen[0], limit, passed[0], fused[0], explained, wrong)
+        limit = gate(aid.rules.gate_probability, len(seen[0].nu))
+        return Verdict(as_it_came, seen[0], limit, passed[0], fused[0], explained, wrong)
 
     def _is_predicted(self, aid: Aid, passed: list[bool]) -> bool:
         return passed[0] or any(p and aid.topic not in m.doubts for p, m in zip(passed, self.members, strict=True))

@@ -9,6 +9,7 @@ from msgspec.structs import replace
 
 from estimator.filter.eskf import Eskf
 from estimator.sources.base.aid import Aid
+from estimator.sources.base.faults import IMU_M_S2
 from models import imu
 from models.messages import Array
 from models.state import E, X
@@ -25,7 +26,6 @@ _LEAST_IMU_S = 3.75  # and lasts for so long at least, where a wrong IMU explain
 _LEAST_S = 4.5  # where nothing does
 _ENOUGH_S, _ENOUGH = 5.0, 11  # longer than both, it wins against any other one
 _LEAST_SHARE, _TWO_SIGMA = 0.1, 2.0  # a contradicted run matters whose share in both is larger; a jump that is further
-_KNOWN_S = 10.0  # after a longer time without fixes the IMU may have led there
 _PERIOD_S = 2.0  # between fixes, where it is not known
 
 
@@ -63,7 +63,8 @@ class Hypothesis(msgspec.Struct, eq=False):
     leading one; doubts: false sources by topic; benefit: ln, added weight in the covariance; without: receiver left
     out for good; least: ln, lower bound of the weight; decided: topics rejected since a won conflict; receiver: last fused, and
     its ln(1 - trust); begun_at_fix: unconfirmed; refuted_ns: last refutation of such; agreed_ns: since when the omitted receiver
-    passes; right: constants of a right IMU, where it is taken for wrong; past: where an earlier run of fixes had it.
+    passes; right: constants of a right IMU, where it is taken for wrong; past: where an earlier run of fixes had it; turned: when
+    the attitude of a source was last taken for false.
     """
 
     filter: Eskf
@@ -83,6 +84,7 @@ class Hypothesis(msgspec.Struct, eq=False):
     agreed_ns: int | None = None
     right: Array | None = None
     past: "Past | None" = None
+    turned: dict[str, int] = {}
 
     def copy(self) -> "Hypothesis":
         """An independent hypothesis in the same state."""
@@ -113,11 +115,13 @@ class Hypothesis(msgspec.Struct, eq=False):
         return (t_ns - self.run_ns) * 1e-9 >= _LEAST_IMU_S
 
     def note_jump(self, from_n: Array, t_ns: int) -> None:
-        """A fix that its last ones contradict has moved it from from_n (3,) [m], by more than two sigma."""
+        """A fix that its last ones contradict has moved it from from_n (3,) [m]: more than two sigma and a wrong IMU explain."""
         run_s, off = (self.fused_ns - self.run_ns) * 1e-9, from_n - self.filter.x[X.P]
         covered = _TWO_SIGMA**2 * self.filter.variance_factor * self.filter.cov[E.P, E.P].trace()
         covered += self.past.added(t_ns).trace() if self.past else 0.0
-        if run_s > 0.0 and (t_ns - self.fused_ns) * 1e-9 < _KNOWN_S and off @ off > covered:
+        dark_s = max((t_ns - self.fused_ns) * 1e-9 - _ENOUGH_S, 0.0)  # in which no fix was even refused
+        covered += (0.5 * IMU_M_S2 * dark_s**2) ** 2
+        if run_s > 0.0 and off @ off > covered:
             self.past = Past(off, run_s, t_ns)
 
     @property

@@ -38,7 +38,9 @@ def _hypothesis(fused_s: float) -> Hypothesis:
     return Hypothesis(eskf, fused_ns=EPOCH_NS + round(fused_s * SECOND), run=9, run_ns=EPOCH_NS)
 
 
-@pytest.mark.parametrize(("off_m", "after_s", "is_noted"), [(5.0, 2.0, True), (0.3, 2.0, False), (5.0, 11.0, False)])
+@pytest.mark.parametrize(
+    ("off_m", "after_s", "is_noted"), [(5.0, 2.0, True), (0.3, 2.0, False), (5.0, 11.0, False), (20.0, 11.0, True)]
+)
 def test_a_jump_is_one_that_neither_the_covariance_nor_dead_reckoning_explains(
     off_m: float, after_s: float, is_noted: bool
 ) -> None:

@@ -199,3 +199,14 @@ def test_a_restarted_estimate_keeps_what_was_estimated_of_the_sensors() -> None:
     assert again.bias_walk.factor == 100.0
     assert again.frames is tracker.frames
     assert again.delays == tracker.delays
+
+
+def test_beside_a_receiver_that_agrees_with_the_fixes_it_is_the_motion_too() -> None:
+    flight = simulated(FLIGHT + '[gnss]\n[vehicle]\nkind = "fixed_wing"\n', seed=1)
+    step = np.radians(0.2) * np.array([0.6, 0.0, 0.8])
+    turned = [
+        replace(m, gyro_b=vec3(m.gyro_b + step)) if isinstance(m, ImuSample) and m.t_ns > EPOCH_NS + 20 * SECOND else m
+        for m in flight.messages
+    ]
+    run = fly(flight, messages=turned)
+    assert position_errors(within(run.estimates, 20.0, 90.0), flight.truth).max() < 1.0
