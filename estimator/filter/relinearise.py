@@ -115,15 +115,19 @@ class Link:
 
 
 def relinearise(stretch: Stretch, found: Eskf, samples: ImuBuffer) -> tuple[Eskf, Stretch] | None:
-    """The relinearised filter, and the stretch with the run; None: no convergence."""
+    """The relinearised filter, and the stretch with the run; None: no convergence, or to a path that the newest reading, which the
+    filter has fused, contradicts.
+    """
     path = _extended(stretch, found, samples) if stretch.path else _first_path(stretch, found, samples)
     before = None
     for _ in range(_PASSES):
-        end, path = _run(stretch, path, samples, found)
+        end, path, is_near = _run(stretch, path, samples, found)
         if not end.sound:
             return None
         stays = before is not None and _distance2(end, before) < _STAYS
         before = end.x
+        if stays and not is_near:
+            return None
         if stays:
             changed, count = _distance2(end, found.x) >= _CHANGES or not stretch.path, len(stretch.taken)
             moved_at = count if changed else stretch.moved_at
@@ -186,11 +190,12 @@ def _moved(t_ns: int, x: Array, to_ns: int, samples: ImuBuffer, constants: Array
     return imu.moved(x, samples.t_ns, samples.u, samples.count, samples.first_after(t_ns), t_ns, to_ns, constants)
 
 
-def _run(stretch: Stretch, path: list[Array], samples: ImuBuffer, like: Eskf) -> tuple[Eskf, list[Array]]:
+def _run(stretch: Stretch, path: list[Array], samples: ImuBuffer, like: Eskf) -> tuple[Eskf, list[Array], bool]:
+    """Its end, the path moved by all readings, and whether the newest one is near it."""
     dx = local(path[0], stretch.x)
     cov = carried(stretch.cov, so3.right_jacobian_inverse(dx[E.THETA]))
     run = Eskf(stretch.t_ns, path[0].copy(), cov, like.constants, stretch.slow, like.variance_factor)
-    means, covs, links = [dx], [run.cov[: E.SIZE, : E.SIZE].copy()], []
+    means, covs, links, predicted = [dx], [run.cov[: E.SIZE, : E.SIZE].copy()], [], dx
     for x, taken in zip(path[1:], stretch.taken, strict=True):
         index, to_ns = samples.first_after(run.t_ns), taken.aid.t_ns
         phi = imu.transition(run.x, samples.t_ns, samples.u, samples.count, index, run.t_ns, to_ns, run.constants)
@@ -200,12 +205,12 @@ def _run(stretch: Stretch, path: list[Array], samples: ImuBuffer, like: Eskf) ->
         phi[E.THETA] = jacobian @ phi[E.THETA]
         run.x, run.cov, dx = x.copy(), carried(run.cov, jacobian), off + phi @ dx
         links.append(Link(phi, dx, run.cov[: E.SIZE, : E.SIZE].copy()))
-        dx = _fuse(run, dx, taken)
+        predicted, dx = dx, _fuse(run, dx, taken)
         means.append(dx)
         covs.append(run.cov[: E.SIZE, : E.SIZE].copy())
     smoothed = [retract(x, mean) for x, mean in zip(path, _smoothed(means, covs, links), strict=True)]
     run.sound = inject(run.x, run.cov, dx)
-    return run, smoothed
+    return run, smoothed, dx is not predicted
 
 
 def _fuse(run: Eskf, dx: Array, taken: Taken) -> Array:

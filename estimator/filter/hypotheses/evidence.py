@@ -23,8 +23,8 @@ _NOISIER = 256.0  # times the variance that a source claims
 class Evidence(NamedTuple):
     """One reading, by hypothesis: seen; passed: inside the gate; again: ln weight, None after a reading that was not false.
 
-    doubted: largest weight of one that leaves the source out; by_receiver: ln density of a velocity to those that follow its
-    receiver's positions, -inf without any, or where all do.
+    doubted: largest weight of one that leaves the source out; by_receiver: what a velocity adds to the weights of those that follow
+    its receiver's positions, on average, -inf without any, or where all do.
     """
 
     aid: Aid
@@ -50,7 +50,10 @@ def weighed(members: list[Hypothesis], aid: Aid, seen: list[Innovation], passed:
     )
     # A receiver is right or wrong in both: where its positions are doubted, its velocities are no evidence.
     follow = [j for j, m in enumerate(members) if m.without != SENSORS and aid.receiver not in m.doubts]
-    by_receiver = _predicted(members, follow, seen) if any(aid.receiver in m.doubts for m in members) else -math.inf
+    by_receiver = -math.inf
+    if follow and any(aid.receiver in m.doubts for m in members):
+        gains = [seen[j].log_likelihood if passed[j] else aid.log_false for j in follow]
+        by_receiver = _mean([members[j].weight for j in follow], gains)
     return Evidence(aid, seen, passed, again, doubted, by_receiver)
 
 
@@ -92,5 +95,9 @@ def _again(
 def _predicted(members: list[Hypothesis], by: list[int], seen: list[Innovation]) -> float:
     if not by:
         return -math.inf
-    weights = [members[j].weight for j in by]
-    return ln_sum([w + seen[j].log_likelihood for w, j in zip(weights, by, strict=True)]) - ln_sum(weights)
+    return _mean([members[j].weight for j in by], [seen[j].log_likelihood for j in by])
+
+
+def _mean(weights: list[float], gains: list[float]) -> float:
+    """ln (sum w_j g_j / sum w_j), all as ln."""
+    return ln_sum([w + gain for w, gain in zip(weights, gains, strict=True)]) - ln_sum(weights)

@@ -282,7 +282,7 @@ class Hypotheses:
         member, doubt = self.members[k], self.members[k].doubts.get(aid.topic)
         true = seen.log_likelihood
         if (k > 0 or not passed) and aid.receiver in member.doubts and e.by_receiver > -math.inf:
-            member.weight += max(e.by_receiver, aid.log_false)
+            member.weight += e.by_receiver
             return False
         foretold = not aid.absolute and again is not None and again > true + MARGIN
         if doubt and again is not None and (doubt.deliberate or not passed or foretold):
