@@ -21,20 +21,21 @@ _NO_RATE = np.zeros(3)
 
 
 class ImuEvidence:
-    """since: start of the rest; refuted: positions that showed motion since the IMU did; same: last value and since when, by
-    topic.
+    """since: start of the rest; asked_ns: when it was asked for; refuted: positions that showed motion since the IMU did; same:
+    last value and since when, by topic.
     """
 
     def __init__(self, core: Core) -> None:
         self.core = core
         self.since: tuple[int, float] | None = None
-        self.refuted = 0
+        self.asked_ns = self.refuted = 0
         self.same: dict[str, tuple[bytes, int]] = {}
 
     def copy(self, core: Core) -> "ImuEvidence":
         """An independent one in the same state, of another core."""
         other = object.__new__(ImuEvidence)
-        other.core, other.since, other.refuted, other.same = core, self.since, self.refuted, self.same.copy()
+        other.core, other.since, other.asked_ns, other.refuted = core, self.since, self.asked_ns, self.refuted
+        other.same = self.same.copy()
         return other
 
     def felt(self, aid: Aid, samples: ImuBuffer) -> tuple[Aid, Measurement | Refusal]:
@@ -54,11 +55,13 @@ class ImuEvidence:
     def _rest(self, samples: ImuBuffer) -> Rest | Refusal:
         core = self.core
         rules, u = core.config.rest, core.recent(samples)
+        unasked_ns, self.asked_ns = core.t_ns - self.asked_ns, core.t_ns
+        if unasked_ns > rest.AFTER_NS:  # it may have flown
+            self._end()
+            self.refuted = 0
         if u is None or not core.is_aligned or core.hypotheses is None or not rest.is_quiet(u):
-            if self.since is not None and core.is_aligned and core.hypotheses is not None:
-                core.hypotheses.forget(rest.BLOCK)
-                core.stretch = Stretch.of(core.hypotheses.lead)
-            self.since, self.refuted = None, 0
+            self._end()
+            self.refuted = 0
             return Refusal(Reason.THINNED, "in motion" if core.is_aligned else NO_POSITION)
         lead = core.hypotheses.lead
         if self.since is None:
@@ -68,12 +71,20 @@ class ImuEvidence:
             return Refusal(Reason.THINNED, "at rest for a moment")
         why = rest.objection(lead.x, lead.cov, rules)
         if why or self.refuted >= _MOVES:
-            self.since = None  # it has to look at rest for as long again
+            self._end()  # it has to look at rest for as long again
             self.refuted += core.is_aided
             return Refusal(Reason.GATED, why or "looks at rest, but positions have shown that it moves")
         core.stretch = None  # a run would leave out what rest has shown, and rest is linear
         earth_n = core.origin.earth_rate_n if core.origin is not None else _NO_RATE
         return rest.at_rest(u, azimuth, earth_n, rules)
+
+    def _end(self) -> None:
+        """The next rest has a heading of its own."""
+        core = self.core
+        if self.since is not None and core.is_aligned and core.hypotheses is not None:
+            core.hypotheses.forget(rest.BLOCK)
+            core.stretch = Stretch.of(core.hypotheses.lead)
+        self.since = None
 
     def is_held(self, aid: Aid, z: Measurement, samples: ImuBuffer) -> bool:
         """It reads the same as before, though the vehicle moves."""

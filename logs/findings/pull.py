@@ -22,6 +22,7 @@ _UP_DEG: Final = 20.0  # further off, its vertical is another
 _OUTLIER: Final = 4.0  # times the median
 _WRONG: Final = 0.7  # share of the changes that equality leaves; 0.4 with good poses
 _EXPLAINED, _UNEXPLAINED = 0.45, 0.7  # by axes and scale
+_SIGMAS: Final = 3.0
 _SCALE: Final = 1.4
 _LATE_S: Final = [s for s in np.arange(-1.2, 1.25, 0.1) if abs(s) > 0.25]
 _LATE_WRONG, _LATE_GAIN = 0.45, 0.6
@@ -54,10 +55,20 @@ def pulled(imu: Stream, poses: Stream) -> Cause | None:
         return Cause(
             f"its stamps are {abs(late_s):.1f} s {side} against the accelerometer", since_s, "set its delay_s, or mend the stamps"
         )
-    if here.equal > _WRONG and here.rest > _UNEXPLAINED:
+    if here.equal > _WRONG and here.rest > _UNEXPLAINED and _contradicts(force, change):
         what = "its attitude does not fit: with it the accelerometer contradicts its positions"
         return Cause(what, since_s, "give the attitude of the body, or mark it as not given (variance of 10 rad^2)")
     return None
+
+
+def _contradicts(a: Array, b: Array) -> bool:
+    """Is the slope of b on a below 1 by 3 sigma, which noise of the positions leaves at 1?
+
+    k = sum a.b / sum |a|^2,   sigma^2 = sum |b - k a|^2 / ((3 n - 1) sum |a|^2)
+    """
+    power = float(np.sum(a**2))
+    k = float(np.sum(a * b)) / power
+    return 1.0 - k > _SIGMAS * float(np.sqrt(np.sum((b - k * a) ** 2) / ((a.size - 1) * power)))
 
 
 def _scaled(found: Relation) -> bool:

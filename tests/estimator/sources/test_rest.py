@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
-from estimator.sources.rest import RestConfig, at_rest, is_quiet
+from estimator.fusion import Fusion, FusionConfig
+from estimator.sources.rest import ON_GROUND, RestConfig, at_rest, is_quiet
 from models import so3
-from models.messages import Array
+from models.frames import GRAVITY
+from models.messages import AidStatus, Array, Estimate, ImuSample, PoseFix, Reading, Reason, vec3
 from models.state import E, X, retract
 
 EARTH_N = np.array([5e-2, 0.0, -6e-2])  # a thousand times as fast, so that its part of the Jacobian shows
@@ -53,3 +55,23 @@ def test_the_mean_rate_is_as_good_as_the_noise_of_its_samples(noise: float) -> N
         z = at_rest(u, 0.0, np.zeros(3), RestConfig())
         scores.append(z.evaluate(x, np.zeros(3))[0][4:] ** 2 / np.diag(z.noise)[4:])
     assert np.mean(scores) < 1.1
+
+
+def test_after_a_flight_a_rest_has_a_heading_of_its_own() -> None:
+    """Rest is not asked for in the air: what lands 3 degrees away is not held at the heading before the take-off."""
+    rng, fusion, second, heading, outputs = np.random.default_rng(2), Fusion(FusionConfig()), 10**9, 0.5, []
+    for k in range(2500):
+        t_ns, turns = second + k * second // 100, 800 <= k < 1400
+        rate = np.radians(0.5) if turns else 0.0
+        heading += rate / 100.0
+        u = rng.normal(scale=[1e-3] * 3 + [0.01] * 3) + np.array([0.0, 0.0, rate, 0.0, 0.0, -GRAVITY])
+        outputs += fusion.handle(ImuSample(t_ns, t_ns, vec3(u[:3]), vec3(u[3:])))
+        if k % 20 == 10:
+            covariance = np.diag([0.01] * 3 + [0.1**2] * 3)
+            outputs += fusion.handle(PoseFix(t_ns, t_ns, (0.0, 0.0, 0.0), tuple(so3.from_euler(0.0, 0.0, heading)), covariance))
+        if k % 100 == 50:
+            outputs += fusion.handle(Reading(t_ns, t_ns, "/landed", "rest", (0.0 if turns else float(ON_GROUND),)))
+    rests = [a for a in outputs if isinstance(a, AidStatus) and a.kind == "rest" and a.t_ns > 19 * second]
+    assert [a.reason for a in rests] == [Reason.FUSED] * 7
+    last = [e for e in outputs if isinstance(e, Estimate)][-1]
+    assert so3.to_euler(last.nav[X.Q])[2] == pytest.approx(heading, abs=0.01)

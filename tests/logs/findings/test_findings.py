@@ -306,6 +306,15 @@ def test_an_attitude_that_is_not_given_accuses_nobody() -> None:
     assert _found({**streams, "/pose_fix": poses._replace(values=values)}) == []
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_an_attitude_is_not_accused_for_noise_of_the_positions(seed: int) -> None:
+    streams = _sound(seed)
+    poses = streams["/pose_fix"]
+    noise = np.random.default_rng(seed).normal(scale=2.0, size=(len(poses.t_s), 3))
+    noisy = poses._replace(values=poses.values + np.pad(noise, ((0, 0), (0, 4))))
+    assert pull.pulled(streams["/imu"], noisy) is None
+
+
 def test_samples_that_come_in_batches_are_not_called_missing() -> None:
     streams = _sound(0)
     streams["/imu"], words = _batched(streams["/imu"], np.random.default_rng(0))
