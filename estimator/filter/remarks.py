@@ -29,6 +29,14 @@ def conflict(hypotheses: Hypotheses | None, absolute: Iterable[str], sources: Ma
     return f"{sides[0]} and {sides[1]} disagree by {distance_m:.1f} m for {since_s:.0f} s: the covariance covers both"
 
 
+def turned(hypotheses: Hypotheses | None) -> list[str]:
+    """Sources whose attitude is taken for false."""
+    of = hypotheses.members[0].turned if hypotheses is not None else ()
+    return [
+        f"the attitude of {topic} contradicts the estimate, its positions do not: they alone are used" for topic in sorted(of)
+    ]
+
+
 def apart(found: Mapping[str, Apart], undecided: Container[str]) -> list[str]:
     """Rejected sources and their distances; undecided: against which nothing decides."""
     return [

@@ -139,7 +139,10 @@ class Hypotheses:
         as_it_came = seen[0]
         if not trusted:
             return Verdict(as_it_came, as_it_came, limit, as_it_came.distance2 <= limit, fused=False)
-        seen, passed, whole = attitude.judged(self.members, aid, z, seen, limit, proven=proven)
+        whole = [s.distance2 <= limit for s in seen]
+        if proven and aid.absolute:
+            seen = attitude.taken(self.members, aid, z, seen, whole)
+        passed = [fits or s.besides != 0.0 for s, fits in zip(seen, whole, strict=True)]
         if passed[0] and aid.is_sensor:
             self.sensed |= {aid.topic}
         if not aid.weighs:

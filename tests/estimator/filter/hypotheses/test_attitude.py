@@ -40,6 +40,7 @@ def test_a_camera_that_has_turned_moves_no_position(flight: Simulation, rotvec_d
 
     run = fly(flight, messages=[turned(m) if isinstance(m, PoseFix) and _is_late(m) else m for m in flight.messages])
     assert position_errors(within(run.estimates, FROM_S, 45.0), flight.truth).max() < 1.0
+    assert "the attitude of /pose_fix contradicts the estimate" in run.health[-1].detail
 
 
 def test_a_gyroscope_that_has_turned_away_is_still_set_right(flight: Simulation) -> None:
