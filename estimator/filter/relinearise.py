@@ -115,8 +115,9 @@ class Link:
 
 
 def relinearise(stretch: Stretch, found: Eskf, samples: ImuBuffer) -> tuple[Eskf, Stretch] | None:
-    """The relinearised filter, and the stretch with the run; None: no convergence, or to a path that the newest reading, which the
-    filter has fused, contradicts.
+    """The relinearised filter, and the stretch with the run.
+
+    None: no convergence, or to a path that the newest reading, which the filter has fused, contradicts.
     """
     path = _extended(stretch, found, samples) if stretch.path else _first_path(stretch, found, samples)
     before = None

@@ -437,7 +437,7 @@ class Tracker:
             core.stretch = None  # a run would fuse the attitude
         for topic in verdict.wrong:
             self.sources[topic] = self.sources.get(topic, _UNKNOWN).refuted(aid.t_ns)
-        if trusted and aid.absolute and not verdict.explained:
+        if trusted and aid.absolute:
             core.note_variance(aid, verdict.used)
         agree = alone or not (core.conflicts.apart or self.between is not None)  # sources that disagree are no motion
         if verdict.fused and aid.absolute and agree and not aid.geodetic:

@@ -23,8 +23,8 @@ _NOISIER = 256.0  # times the variance that a source claims
 class Evidence(NamedTuple):
     """One reading, by hypothesis: seen; passed: inside the gate; again: ln weight, None after a reading that was not false.
 
-    doubted: largest weight of one that leaves the source out; by_receiver: what a velocity adds to the weights of those that follow
-    its receiver's positions, on average, -inf without any, or where all do.
+    doubted: largest weight of one that leaves the source out; by_receiver: what a velocity adds on average to the weights of
+    those that follow its receiver's positions, -inf without any, or where all do.
     """
 
     aid: Aid

@@ -27,7 +27,6 @@ _SEEN = 3.0  # ln: so far behind the leading one a new follower counts in the co
 _UNSEEN = 10.0  # ln: by so much less one counts there whose source is refused already
 _OTHER_BIASES = np.repeat((0.01, 0.1), 3)  # rad/s, m/s^2: by so much they may differ after a fault of the IMU
 _HARDLY = 0.05  # of the largest singular value of H_p: what a fix measures less is no jump
-_FEW = 3  # fixes of a follower, too few to decide
 
 
 def begin(lead: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, limit: float, *, vouched: bool) -> Hypothesis | None:
@@ -97,11 +96,6 @@ def raise_alternative(members: list[Hypothesis], aid: Aid, fused: list[bool], *,
     if others:
         best = max(others, key=lambda m: m.weight)
         best.weight = max(best.weight, lead.weight + behind(lead, aid, vouched=vouched, by_imu=best.doubts_imu))
-
-
-def is_new(member: Hypothesis) -> bool:
-    """It takes the IMU for wrong, and has not fused enough."""
-    return member.doubts_imu and member.run <= _FEW
 
 
 def with_imu_right(lead: Hypothesis, t_ns: int) -> Hypothesis:

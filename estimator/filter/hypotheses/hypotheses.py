@@ -42,16 +42,13 @@ _TINY = 1e-9
 
 
 class Verdict(NamedTuple):
-    """The leader's answer; used: what of the reading counts; explained: it refused what a new follower fused; wrong: sensors that
-    the leader does without.
-    """
+    """The leader's answer; used: what of the reading counts; wrong: sensors that the leader does without."""
 
     seen: Innovation
     used: Innovation
     gate: float
     passed: bool
     fused: bool
-    explained: bool = False
     wrong: frozenset[str] = frozenset()
 
 
@@ -164,7 +161,6 @@ class Hypotheses:
         evidence = weighed(self.members, aid, seen, passed, vouched=vouched)
         born: list[Hypothesis] = []
         fused = self._answers(evidence, born)
-        explained = not fused[0] and any(f and follower.is_new(m) for f, m in zip(fused, self.members, strict=True))
         if anew:
             follower.raise_alternative(self.members, aid, fused, vouched=vouched)
         at_fix = left_out.moved(self.members[0], aid, z, gyro_b, seen[0]) if may_be_misled and self.members[0].receiver else None
@@ -184,7 +180,7 @@ class Hypotheses:
         if self.members[0].without == SENSORS:
             self.members[0].without, wrong, self.sensed = "", self.sensed, wrong
         limit = gate(aid.rules.gate_probability, len(seen[0].nu))
-        return Verdict(as_it_came, seen[0], limit, passed[0], fused[0], explained, wrong)
+        return Verdict(as_it_came, seen[0], limit, passed[0], fused[0], wrong)
 
     def _is_predicted(self, aid: Aid, passed: list[bool]) -> bool:
         return passed[0] or any(p and aid.topic not in m.doubts for p, m in zip(passed, self.members, strict=True))
