@@ -21,6 +21,7 @@ _LEAST_M: Final = 1.0  # RMS of a step: a receiver's noise is less
 _AWAY_STEPS: Final = 15
 _AWAY_M_S, _AWAY_SHARE, _TOGETHER_M_S = 0.7, 0.05, 0.2
 _ODOMETRY_M, _EXPLAINED, _LONGER = 0.5, 0.35, 1.15  # RMS of a step; share that is left; of the scale, beyond noise and heading
+_NOISE_STEPS: Final = 6.0  # extent of positions that are noise of one place: 3 to 5 of their steps
 _LATE_S: Final = [s for s in np.arange(-1.5, 1.55, 0.1) if abs(s) > 0.25]
 _LATE_M, _LATE_GAIN = 0.3, 0.3  # RMS of a step at the stamps as they are; of its power, what other stamps leave
 _ACCURACY_M: Final = (2e-3, 1e3)  # of any receiver that is of use
@@ -154,11 +155,14 @@ def position_relation(fixes: Stream, others: Stream) -> Relation | None:
 
 def stretched(odometry: Stream, known: Stream, name: str) -> Cause | None:
     """Ways of an odometry of another length than those between known positions; name: of these."""
-    steps = _steps(positions(odometry), positions(known), 2)
-    if steps is None or len(steps[0]) < _AWAY_STEPS or np.mean(np.sum(steps[1] ** 2, axis=1)) ** 0.5 < _ODOMETRY_M:
+    at = positions(known)
+    steps = _steps(positions(odometry), at, 2)
+    if steps is None or len(steps[0]) < _AWAY_STEPS or (step_m := np.mean(np.sum(steps[1] ** 2, axis=1)) ** 0.5) < _ODOMETRY_M:
         return None
     since_s = float(odometry.arrived_s[0])
     if not steps[0].any():
+        if np.linalg.norm(np.ptp(at[1][:, :2], axis=0)) < _NOISE_STEPS * step_m:
+            return None
         return Cause(
             f"its position never changes while {name} moves", since_s, "it has not begun, or is lost: let it be silent then"
         )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from logs.findings import Finding, pull, together
+from logs.findings import Finding, position, pull, together
 from logs.findings.judge import judged
 from logs.findings.streams import FIX, IMU, ODOMETRY, POSE, VELOCITY, Stream, row
 from models.frames import GRAVITY
@@ -313,6 +313,16 @@ def test_an_attitude_is_not_accused_for_noise_of_the_positions(seed: int) -> Non
     noise = np.random.default_rng(seed).normal(scale=2.0, size=(len(poses.t_s), 3))
     noisy = poses._replace(values=poses.values + np.pad(noise, ((0, 0), (0, 4))))
     assert pull.pulled(streams["/imu"], noisy) is None
+
+
+def test_an_odometry_that_stands_still_is_not_accused_for_noise_of_the_fixes() -> None:
+    streams = _sound(0)
+    odometry, poses = (
+        s._replace(values=np.tile(s.values[:1], (len(s.t_s), 1))) for s in (streams["/odometry"], streams["/pose_fix"])
+    )
+    noise = np.random.default_rng(0).normal(scale=0.5, size=(len(poses.t_s), 3))
+    noisy = poses._replace(values=poses.values + np.pad(noise, ((0, 0), (0, 4))))
+    assert position.stretched(odometry, noisy, "/pose_fix") is None
 
 
 def test_samples_that_come_in_batches_are_not_called_missing() -> None:
