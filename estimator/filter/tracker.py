@@ -444,6 +444,8 @@ class Tracker:
             self._note_biases(aid, verdict.used)
         if aid.absolute or aid.receiver:
             self.failed = {**self.failed, aid.topic: 0 if verdict.passed else self.failed.get(aid.topic, 0) + 1}
+        is_rejected = aid.topic in core.hypotheses.members[0].rejected
+        core.conflicts = core.conflicts.judged(aid, z, core.hypotheses.lead.x[X.P], is_rejected=is_rejected)
         apart = core.conflicts.apart.get(aid.witness)
         may_be_late = apart is None or delay.explains(apart.off, apart.s, core.hypotheses.lead.x)
         if trusted and may_be_late and (aid.absolute or aid.receiver):
@@ -453,8 +455,6 @@ class Tracker:
                 self.late_cov = self.delays[aid.witness].covariance(aid.delay_sigma_s, core.hypotheses.lead.x[X.V])
             if self.delays[aid.witness].is_state:
                 core.stretch = None  # a run would leave the delay out
-        is_rejected = aid.topic in core.hypotheses.members[0].rejected
-        core.conflicts = core.conflicts.judged(aid, z, core.hypotheses.lead.x[X.P], is_rejected=is_rejected)
         if not aid.geodetic and core.conflicts.outvotes(aid.topic):
             core.hypotheses.lead_from(aid, z, gyro_b)
             core.variance_factor, core.conflicts, self.means = NO_EXCESS, Conflicts(), {}

@@ -37,6 +37,7 @@ AT_REST = "at rest: the heading shows when the vehicle moves"
 _NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
 _NO_START = f"waiting for a position with {FEWEST_SAMPLES} IMU samples or more in the second before it"
 _BEFORE_IMU = "before the first IMU sample"
+_POSITIONS_FIRST = "positions align first: a wrong velocity would mislead them"
 _STILL_MEMORY_NS = 3_000_000_000  # a levelling at rest holds for so long after the vehicle has moved
 _PROVEN_NS = 900_000_000  # in so long an IMU shows that it is right; each time it was not, three times as long
 _THRICE_AT_MOST = 2
@@ -75,6 +76,7 @@ class Alignment:
         self.shows_unaligned = False
         self.contradiction = NO_CONTRADICTION
         self.given_up = 0  # how often a filter was
+        self.positions_until_ns = NEVER  # positions alone, after that: velocities may have been what misled it
         self.begun_by, self.begun_ns = "", NEVER  # the source at whose position the newest filter begins, and its newest pose
         self.since_ns = NEVER  # when it was another one
         self.direction: tuple[float, ...] = ()  # of the newest innovation of an absolute source during the alignment
@@ -118,6 +120,8 @@ class Alignment:
         """Start the filter, or go on finding the heading."""
         core = self.core
         config = core.config.initialise
+        if isinstance(z, Velocity) and (core.t_ns < self.positions_until_ns or core.t_ns - self.begun_ns < _FRESH_NS):
+            return Decision(Reason.ALIGNING, detail=_POSITIONS_FIRST)
         if core.hypotheses is None and not (samples.count and core.t_ns > samples.t_ns[0] - core.gap_ns):
             return Decision(Reason.ALIGNING, detail=_BEFORE_IMU)
         whole = isinstance(z, Pose) and z.attitude == "full" and aid.absolute
@@ -173,7 +177,8 @@ class Alignment:
     def note_course(self, z: Velocity, samples: ImuBuffer) -> None:
         """Use the course as a prior without a better one."""
         core = self.core
-        stretch = core.recent(samples) if core.config.initialise.course_sigma_deg else None
+        may = core.config.initialise.course_sigma_deg and core.t_ns >= self.positions_until_ns
+        stretch = core.recent(samples) if may else None
         if stretch is None or (self.prior is not None and core.t_ns - self.prior[0] <= _FRESH_NS):
             return
         at = initialise.level(core.t_ns, stretch, core.config.initialise, may_rest=False)
@@ -267,6 +272,7 @@ class Alignment:
         if self.contradiction.is_shown:
             self.begin_again()
             self.given_up += 1
+            self.positions_until_ns = self.core.t_ns + _TRIED_NS
 
     def _contradicts_start(self, aid: Aid) -> bool:
         return aid.topic != self.begun_by and aid.topic in self.core.conflicts.apart
