@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from estimator.filter.alignment import InitialiseConfig, TrackerConfig
-from estimator.filter.history import History
+from estimator.filter.history import _CHECKPOINT_SAMPLES, History
 from estimator.filter.tracker import Tracker
 from estimator.sources.base.aid import Aid
 from models.imu import Coast, ImuNoise
@@ -164,7 +164,7 @@ class Flight(RuleBasedStateMachine):
     def _memory_is_bounded(self) -> None:
         """By what lies within the span and the alignment, and one checkpoint before it."""
         h = self.history
-        within = SPAN_NS + 32 * STEP_NS
+        within = SPAN_NS + _CHECKPOINT_SAMPLES * STEP_NS
         assert all(t >= h.samples.newest_ns - within for t in h._checkpoint_times[1:])
         assert all(order[0] >= h.samples.newest_ns - within for order in h._orders)
         assert h.samples.count <= 2 * (SPAN_NS + 8 * SECOND + STRETCH_NS) // STEP_NS
