@@ -156,6 +156,8 @@ class Hypotheses:
         newborn = None
         if aid.absolute and not set_aside and not self._is_predicted(aid, whole):
             newborn = follower.begin(self.members[0], aid, z, gyro_b, limit, vouched=vouched)
+        if newborn and newborn.right is not None and passed[0]:  # the IMU foretells the position: the attitude was false
+            newborn.adopt(newborn.right, doubts_imu=False)
         anew = aid.absolute and not set_aside and not passed[0] and aid.topic not in self.members[0].doubts
         may_be_misled = newborn is not None and not passed[0] and not left_out.has_jumped(self.members, aid)
         evidence = weighed(self.members, aid, seen, passed, vouched=vouched)
