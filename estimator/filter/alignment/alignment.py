@@ -45,7 +45,6 @@ _BESIDE_NS = 5_000_000_000
 _WRONG_NS = 30_000_000_000  # a heading that motion has refuted is not asked for
 _UNDECIDED_NS = 600_000_000_000  # nor are two that differ
 _FRESH_NS = 2_000_000_000  # a prior attitude is of now
-_SOON_NS = 550_000_000  # after a pose another one, which shows the velocity, is likely
 _TRIED_NS = 10_000_000_000  # a source of poses that has not aligned the filter by then lets another one try
 _XYZ = 3
 _LARGEST_NOISE = math.radians(30.0)  # a larger innovation of attitude is not the noise of a fix
@@ -126,12 +125,10 @@ class Alignment:
         if core.hypotheses is None and not (samples.count and core.t_ns > samples.t_ns[0] - core.gap_ns):
             return Decision(Reason.ALIGNING, detail=_BEFORE_IMU)
         whole = isinstance(z, Pose) and z.attitude == "full" and aid.absolute
-        is_other = core.hypotheses is not None and aid.absolute and aid.topic != self.begun_by
-        if is_other and core.t_ns - self.begun_ns < (_FRESH_NS if whole else _SOON_NS):  # the two may contradict each other
+        if whole and core.hypotheses is not None and aid.topic != self.begun_by and core.t_ns - self.begun_ns < _FRESH_NS:
             if core.t_ns - self.since_ns < _TRIED_NS:
-                return Decision(Reason.ALIGNING, detail=f"{self.begun_by} aligns first")
-            if whole:
-                self.begin_again()
+                return Decision(Reason.ALIGNING, detail=f"{self.begun_by} aligns first")  # the two may contradict each other
+            self.begin_again()
         if whole or core.hypotheses is None:
             stretch = core.recent(samples)
             at = None
