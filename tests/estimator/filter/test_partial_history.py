@@ -65,7 +65,7 @@ def _in_part(messages: list[Input]) -> list[Input]:
 
 @pytest.fixture(scope="module")
 def flight() -> Simulation:
-    return simulated(FLIGHT, seed=3)
+    return simulated(FLIGHT)
 
 
 @pytest.fixture(scope="module")
