@@ -17,7 +17,8 @@ GROUPS = (
 # kinds that the fault table does not have, and sizes from which they are above its own
 BEYOND = {
     "IMU axes": 90.0, "fix scale": 0.2, "fix heading": 10.0, "fix units": 3.28,
-    "map north": 10.0, "map shift": 5.0, "fix delay": 150.0,
+    "map north": 10.0, "map shift": 5.0, "fix delay": 150.0, "fix clock steps": 300.0, "map turned": 1.0,
+    "second map turned": 1.0, "second fixes shifted": 20.0, "second fixes shifted, with GNSS": 20.0,
 }  # fmt: skip
 _PER_HOUR = 3600.0 / LIMITS.correlation_s  # independent errors
 _REGIONS = ("nominal", "misleading", "hazardous", "unavailable")

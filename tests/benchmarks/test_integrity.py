@@ -133,3 +133,10 @@ def test_the_workers_of_a_scheduler_do_what_is_left(tmp_path: Path) -> None:
 )
 def test_a_flight_is_counted_in_one_group(group: str, flight: str, kind: str, size: float, name: str) -> None:
     assert group_of(Row(group, flight, kind, size, 0)) == name
+
+
+@pytest.mark.usefixtures("landfix_data")
+def test_false_fixes_after_an_outage_stay_below_the_level(tmp_path: Path) -> None:
+    """Three, then eight of one place: a hypothesis whose position is unknown does not take theirs for confirmed."""
+    row = run(("real", "quad/flight_a", "C", 0.0, 0, str(tmp_path)))
+    assert row.events == (0, 0, 0)

@@ -16,6 +16,7 @@ from estimator.sources.base.gating import gate
 from models.measurements import Measurement, Pose
 
 _XYZ = 3
+_KNOWN = 5.0
 
 
 def taken(members: list[Hypothesis], aid: Aid, z: Measurement, seen: list[Innovation], whole: list[bool]) -> list[Innovation]:
@@ -32,8 +33,14 @@ def taken(members: list[Hypothesis], aid: Aid, z: Measurement, seen: list[Innova
         last_ns = member.turned.get(aid.topic)
         if whole[k]:
             member.turned = {topic: t_ns for topic, t_ns in member.turned.items() if topic != aid.topic}
-        elif part.distance2 <= gate(aid.rules.gate_probability, _XYZ) and part.log_likelihood + false > aid.log_false + MARGIN:
+        elif _confirms(part, aid) and part.log_likelihood + false > aid.log_false + MARGIN:
             again = -math.inf if last_ns is None else true - (aid.t_ns - last_ns) * 1e-9 / AGAIN_S
             counts[k] = part._replace(besides=max(false, again))
             member.turned = {**member.turned, aid.topic: aid.t_ns}
     return counts
+
+
+def _confirms(part: Innovation, aid: Aid) -> bool:
+    """The position was known before, tr S < 5 tr R, and fits: else a false fix agrees with whoever knows nothing."""
+    is_known = float(part.s.trace()) < _KNOWN * float(part.noise.trace())
+    return is_known and part.distance2 <= gate(aid.rules.gate_probability, _XYZ)
