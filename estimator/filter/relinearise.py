@@ -127,9 +127,9 @@ def relinearise(stretch: Stretch, found: Eskf, samples: ImuBuffer) -> tuple[Eskf
             return None
         stays = before is not None and _distance2(end, before) < _STAYS
         before = end.x
-        if stays and not is_near:
-            return None
         if stays:
+            if not is_near:
+                return None
             changed, count = _distance2(end, found.x) >= _CHANGES or not stretch.path, len(stretch.taken)
             moved_at = count if changed else stretch.moved_at
             end = with_estimated(end, found, stretch)

@@ -469,10 +469,7 @@ class Tracker:
         else:
             reason = Reason.PROBATION if state.phase is Phase.STARTING else Reason.STOPPED
         alone = alone or isinstance(z, PartialPose)  # directions change from fix to fix: their sum is of nothing
-        no_witness = frozenset(core.hypotheses.members[0].rejected)  # against a drift: what the estimate itself refuses
-        if aid.geodetic is not None:
-            no_witness |= core.receivers  # receivers share their slow error
-        alone = alone or self._alone(aid, no_witness)
+        alone = alone or (aid.geodetic is not None and self._alone(aid, core.receivers))  # receivers share their slow error
         state = state.judge(
             aid.rules, aid.t_ns, alone=alone, passed=verdict.passed, fused=verdict.fused, nu=verdict.seen.nu, sigma=sigma
         )

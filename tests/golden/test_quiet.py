@@ -12,7 +12,7 @@ from estimator.filter.quiet import Quiet
 from estimator.fusion import Fusion, FusionConfig
 from estimator.sources.rest import RestConfig
 from logs.wire.codec import encode
-from models.messages import ImuSample, Input, Tick
+from models.messages import ImuSample, Input, PoseFix, Tick
 from models.state import X
 
 SECOND = 1_000_000_000
@@ -58,11 +58,13 @@ def _outputs(flight: list[Input], config: FusionConfig) -> list[bytes]:
 FIXES, BOTH, GNSS = Scene(), Scene(gnss_hz=5.0), Scene(0.0, 5.0)
 LATE = [replace(m, arrived_ns=m.arrived_ns + SECOND) if not isinstance(m, ImuSample) else m for m in _flight(FIXES)]
 WITHOUT = [m for m in _flight(FIXES) if isinstance(m, ImuSample) or m.t_ns < BEGIN_NS + 4 * SECOND]
+NOISY = [replace(m, covariance=m.covariance / 6.0) if isinstance(m, PoseFix) else m for m in _flight(FIXES)]
 FLIGHTS = {
     "fixes": _flight(FIXES),
     "fixes and GNSS, two hypotheses": _flight(BOTH),
     "GNSS alone, eight headings": _flight(GNSS),
     "late fixes": sorted(LATE, key=lambda m: m.arrived_ns),
+    "noisier fixes than claimed": NOISY,
     "dead reckoning": WITHOUT,
     "gap": _changed(_flight(BOTH), _gap),
     "odd samples": _changed(_flight(FIXES), _odd),

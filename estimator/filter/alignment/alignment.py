@@ -37,7 +37,7 @@ AT_REST = "at rest: the heading shows when the vehicle moves"
 _NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
 _NO_START = f"waiting for a position with {FEWEST_SAMPLES} IMU samples or more in the second before it"
 _BEFORE_IMU = "before the first IMU sample"
-_POSITIONS_FIRST = "positions align first: a wrong velocity would mislead them"
+_POSITIONS_FIRST = "positions align the filter first"
 _STILL_MEMORY_NS = 3_000_000_000  # a levelling at rest holds for so long after the vehicle has moved
 _PROVEN_NS = 900_000_000  # in so long an IMU shows that it is right; each time it was not, three times as long
 _THRICE_AT_MOST = 2
@@ -76,7 +76,7 @@ class Alignment:
         self.shows_unaligned = False
         self.contradiction = NO_CONTRADICTION
         self.given_up = 0  # how often a filter was
-        self.positions_until_ns = NEVER  # positions alone, after that: velocities may have been what misled it
+        self.positions_until_ns = NEVER  # without velocities, after a filter that they may have misled
         self.begun_by, self.begun_ns = "", NEVER  # the source at whose position the newest filter begins, and its newest pose
         self.since_ns = NEVER  # when it was another one
         self.direction: tuple[float, ...] = ()  # of the newest innovation of an absolute source during the alignment

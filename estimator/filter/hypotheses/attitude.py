@@ -2,8 +2,9 @@
 
     w <- w + ln N(nu_p; 0, S_pp) + a,   a = ln(e u) at first,   max(ln(e u), max_j ln(N(nu_j) / N(nu_jp)) - dt / tau) again
 
-p: its position, where that is likelier by a margin than a fix that is false altogether; e u: false attitude; j: hypotheses that
-take the whole. So what decides between an attitude and the IMU are positions, and a longer run where these do not.
+p: its position, where that is known, tr S_pp < 5 tr R_pp, and likelier by a margin than a false fix; e u: false
+attitude; j: hypotheses that take the whole. So positions decide between an attitude and the IMU, and a longer run where they do
+not.
 """
 
 import math
@@ -16,7 +17,7 @@ from estimator.sources.base.gating import gate
 from models.measurements import Measurement, Pose
 
 _XYZ = 3
-_KNOWN = 5.0
+_KNOWN = 5.0  # tr S / tr R
 
 
 def taken(members: list[Hypothesis], aid: Aid, z: Measurement, seen: list[Innovation], whole: list[bool]) -> list[Innovation]:
@@ -41,6 +42,6 @@ def taken(members: list[Hypothesis], aid: Aid, z: Measurement, seen: list[Innova
 
 
 def _confirms(part: Innovation, aid: Aid) -> bool:
-    """The position was known before, tr S < 5 tr R, and fits: else a false fix agrees with whoever knows nothing."""
+    """Whether the position was known, and fits; to one that was not known any false fix does."""
     is_known = float(part.s.trace()) < _KNOWN * float(part.noise.trace())
     return is_known and part.distance2 <= gate(aid.rules.gate_probability, _XYZ)

@@ -137,7 +137,6 @@ class Hypotheses:
         if not trusted:
             return Verdict(as_it_came, as_it_came, limit, as_it_came.distance2 <= limit, fused=False)
         whole = [s.distance2 <= limit for s in seen]
-        was_turned = aid.topic in self.members[0].turned
         if proven and aid.absolute:
             seen = attitude.taken(self.members, aid, z, seen, whole)
         passed = [fits or s.besides != 0.0 for s, fits in zip(seen, whole, strict=True)]
@@ -157,8 +156,6 @@ class Hypotheses:
         newborn = None
         if aid.absolute and not set_aside and not self._is_predicted(aid, whole):
             newborn = follower.begin(self.members[0], aid, z, gyro_b, limit, vouched=vouched)
-        if newborn and newborn.right is not None and passed[0] and was_turned:  # no wrong IMU explains it: a former attitude may
-            newborn.adopt(newborn.right, doubts_imu=False)
         anew = aid.absolute and not set_aside and not passed[0] and aid.topic not in self.members[0].doubts
         may_be_misled = newborn is not None and not passed[0] and not left_out.has_jumped(self.members, aid)
         evidence = weighed(self.members, aid, seen, passed, vouched=vouched)

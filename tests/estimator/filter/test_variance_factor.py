@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from estimator.filter.hypotheses.mixture import scale
 from estimator.filter.variance_factor import NO_EXCESS, VarianceFactor
 from models.messages import Input, PoseFix, Reason, vec3
 from models.sim.scenario import EPOCH_NS
@@ -151,3 +152,12 @@ def test_the_alignment_ends_however_small_the_reported_covariance_is() -> None:
         assert np.sqrt((off**2).sum(axis=1).mean()) < 0.5
     assert max(begins_s) < 9.0
     assert 0.1 < np.mean(pooled) < 1.5
+
+
+@pytest.mark.parametrize(("sigma", "expected"), [(0.1, 0.3), (2.0, math.pi)])
+def test_it_makes_no_attitude_less_certain_than_half_a_turn(sigma: float, expected: float) -> None:
+    cov = np.eye(E.SIZE)
+    cov[E.THETA, E.THETA] *= sigma**2
+    scale(cov, 9.0)
+    assert np.sqrt(np.diag(cov))[E.THETA] == pytest.approx([expected] * 3, abs=2e-3)
+    assert np.diag(cov)[E.P] == pytest.approx([9.0] * 3)
