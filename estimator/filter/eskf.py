@@ -2,10 +2,10 @@
 
     x <- x (+) dx,   P <- G P G^T,   G_theta = I - [theta/2]x                         (Sola 2017, sec. 6, eq. 287)
 
-Behind the 15 error states P carries slow errors, which repeat from fix to fix, most of them *considered*: never corrected
-(Schmidt 1966). A reading has of the considered errors c only their sum e = H_c c, so the update is that of the others and of e:
+Behind the 15 error states P carries slow errors, which repeat from fix to fix, most of them *considered*: never corrected. Their
+gain is zero, and Joseph's form holds for any gain:
 
-    (a, e) <- update,   P_ac <- P_ac - K_a (H P)_c,   P_cc stays                        (Bierman 1977, sec. VIII.3)
+    P <- (I - K H) P (I - K H)^T + K R K^T,   K_c = 0                          (Schmidt 1966; Bierman 1977, sec. VIII.3)
 
 A kept pose (stochastic clone) is an estimated block (dp, theta).
 """
@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.kalman import ErrorStateKalman
@@ -215,7 +214,8 @@ class Eskf:
 
     def update(self, seen: Innovation) -> None:
         """Fuse a gated measurement."""
-        dx = self.correct(seen)
+        dx = corrected(self.cov, seen.nu, seen.h, seen.noise, self.slow.estimated)
+        self.slow = self.slow.moved(dx[E.SIZE :])
         self.sound = inject(self.x, self.cov, dx)
         for block in self.clones:
             self._correct_pose(block)
@@ -240,17 +240,15 @@ class Eskf:
         cholesky.symmetrise(self.cov)
 
     def correct(self, seen: Innovation) -> Array:
-        """Fuse a measurement into P and the slow errors; the error dx (15,) of the state, which is not moved yet."""
-        if len(self.cov) == E.SIZE:
-            dx, self.cov, _ = _kalman(E.SIZE).update(self.cov, seen.nu, seen.h, seen.noise)
-            return dx
-        kept, cov, h = summed(self.cov, seen.h, self.slow.estimated)
-        dx, cov, gain = _kalman(len(cov)).update(cov, seen.nu, h, seen.noise)
-        spread(self.cov, cov, gain, seen.hp, kept)
-        if len(kept) > E.SIZE:
-            by = np.zeros(len(self.slow.mean))
-            by[kept[E.SIZE :] - E.SIZE] = dx[E.SIZE : len(kept)]
-            self.slow = self.slow.moved(by)
+        """Fuse a measurement into P and the slow errors; the error dx (15,) of the state, which is not moved yet.
+
+        As `corrected`: filterpy updates all errors, then the considered ones are put back.
+        """
+        dx, cov, _ = _kalman(len(self.cov)).update(self.cov, seen.nu, seen.h, seen.noise)
+        considered = E.SIZE + np.flatnonzero(self.slow.estimated == 0.0)
+        block = np.ix_(considered, considered)
+        cov[block] = self.cov[block]
+        self.cov, self.slow = cov, self.slow.moved(dx[E.SIZE :])
         return dx[: E.SIZE]
 
 
@@ -289,53 +287,40 @@ def resolved(noise: Array, s: Array) -> Array:
 
 
 @njit(cache=True, error_model="numpy")
-def summed(cov: Array, h: Array, estimated: Array) -> tuple[NDArray[np.intp], Array, Array]:
-    """States (k,) of P (n, n) that are corrected, P (k + m, k + m) and H (m, k + m) of them and the considered sum e = H_c c.
+def corrected(cov: Array, nu: Array, h: Array, noise: Array, estimated: Array) -> Array:
+    """P <- (I - K H) P (I - K H)^T + K R K^T, in place, and dx = K nu (n,); h: H (m, n), mostly zero.
 
-    estimated: (n - 15,) 0 where a slow error is considered.
+    K = P H^T S^-1, but 0 in the rows of considered slow errors: estimated (n - 15,) 0.
     """
-    kept, k, m = np.arange(_N + estimated.shape[0]), _N, h.shape[0]
-    for i in range(estimated.shape[0]):
-        if estimated[i] != 0.0:
-            kept[k] = _N + i
-            k += 1
-    kept = kept[:k].copy()
-    of_considered = h.copy()
-    by = np.zeros((m, k + m))
+    (m, n), dx = h.shape, np.zeros(cov.shape[0])
+    s, hp = innovation_covariance(cov, h, noise)
+    gain, left = hp.copy(), np.zeros((m, n))  # K^T; (P (I - K H)^T H^T)^T - R K^T, 0 for what is estimated but for rounding
+    if not cholesky.factor(s, s):
+        raise np.linalg.LinAlgError("not positive definite")
+    cholesky.forward(s, gain)
+    cholesky.backward(s, gain)
+    for j in range(_N, n):
+        if estimated[j - _N] == 0.0:
+            gain[:, j] = 0.0
     for i in range(m):
-        for j in range(k):
-            by[i, j] = h[i, kept[j]]
-            of_considered[i, kept[j]] = 0.0
-        by[i, k + i] = 1.0
-    between, with_all = innovation_covariance(cov, of_considered, np.zeros((m, m)))
-    small = np.empty((k + m, k + m))
-    for i in range(m):
-        for j in range(m):
-            small[k + i, k + j] = between[i, j]
-    for i in range(k):
-        for j in range(k):
-            small[i, j] = cov[kept[i], kept[j]]
-        for j in range(m):
-            small[i, k + j] = with_all[j, kept[i]]
-            small[k + j, i] = with_all[j, kept[i]]
-    return kept, small, by
-
-
-@njit(cache=True, error_model="numpy")
-def spread(cov: Array, posterior: Array, gain: Array, hp: Array, kept: NDArray[np.intp]) -> None:
-    """P (n, n), in place, from the posterior and gain (k + m, m) of the states of `summed`; hp: H P (m, n)."""
-    n, k = cov.shape[0], kept.shape[0]
-    for i in range(k):
-        row = cov[kept[i]]
-        for line in range(hp.shape[0]):
-            for j in range(n):
-                row[j] -= gain[i, line] * hp[line, j]
-    for i in range(k):
-        for j in range(k):
-            cov[kept[i], kept[j]] = posterior[i, j]
-    for i in range(k):
         for j in range(n):
-            cov[j, kept[i]] = cov[kept[i], j]
+            dx[j] += gain[i, j] * nu[i]
+            for k in range(n):
+                cov[j, k] -= gain[i, j] * hp[i, k]
+    for i in range(m):
+        for k in range(n):
+            if h[i, k] != 0.0:
+                for j in range(n):
+                    left[i, j] += h[i, k] * cov[j, k]
+        for k in range(m):
+            for j in range(n):
+                left[i, j] -= noise[k, i] * gain[k, j]
+    for i in range(m):
+        for j in range(n):
+            for k in range(n):
+                cov[j, k] -= left[i, j] * gain[i, k]
+    cholesky.symmetrise(cov)
+    return dx
 
 
 @njit(cache=True, error_model="numpy")
