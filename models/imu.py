@@ -157,7 +157,7 @@ _FIRST, _LAST = (_P,) * _T + (_T,) * 3, (_N,) * _T + (_A,) * 3
 
 @njit(cache=True, error_model="numpy")
 def _strapdown(x: Array, h: float, ends: Array, c: Array, r: Array, n: Array, phi: Array) -> None:
-    """One nominal step in place; fills r = R0, Rm, R1 (3, 3, 3) and phi (9, 15).
+    """One nominal step in place; fills r = R0, Rm, R1 (3, 3, 3) and phi (9, 15), unless it is empty.
 
     ends (4, 3): w0, w1, f0, f1. Scratch: n (3, 3), R (f - b_a) of the three.
     """
@@ -198,6 +198,8 @@ def _strapdown(x: Array, h: float, ends: Array, c: Array, r: Array, n: Array, ph
     for i in range(3):
         x[_XP + i] += h * x[_XV + i] + sp[i] + hh * g[i]
         x[_XV + i] += sv[i] + h * g[i]
+    if phi.shape[0] == 0:
+        return
     wx, wy, wz = h * wx, h * wy, h * wz
     phi[_V, _V], phi[_V, _V + 1], phi[_V, _V + 2] = 1.0, 2.0 * wz, -2.0 * wy  # I - 2h [w_ie]x
     phi[_V + 1, _V], phi[_V + 1, _V + 1], phi[_V + 1, _V + 2] = -2.0 * wz, 1.0, 2.0 * wx
@@ -366,7 +368,7 @@ def _coast(x: Array, h: float, age: float, w: Array, c: Array, r: Array, phi: Ar
     for k in range(4):
         q[k] /= norm
     _matrix_into(q, r1)
-    for i in range(3):
+    for i in range(3 if phi.shape[0] > 0 else 0):
         phi[_P + i, _P + i], phi[_P + i, _V + i], phi[_V + i, _V + i] = 1.0, h, 1.0
         for j in range(3):
             phi[_T + i, _T + j] = r1[0, i] * r0[0, j] + r1[1, i] * r0[1, j] + r1[2, i] * r0[2, j]
@@ -451,7 +453,8 @@ def advance(
     n = cov.shape[0]
     p = _of_state(cov)
     rows = np.empty((_G, max(p.shape[1], _N)))
-    rotations, ends, forces, phi = np.empty((3, 3, 3)), np.empty((4, 3)), np.empty((3, 3)), np.zeros((_G, _N))
+    rotations, ends, forces = np.empty((3, 3, 3)), np.empty((4, 3)), np.empty((3, 3))
+    phi = np.zeros((_G if n > 0 or whole.shape[0] > 0 else 0, _N))
     while from_ns < to_ns:
         end = t_ns[i] if i < count and t_ns[i] < to_ns else to_ns
         h = (end - from_ns) * _NS

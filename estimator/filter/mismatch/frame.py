@@ -16,6 +16,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from estimator.filter.imu_buffer import ImuBuffer
 from models import imu, so3
@@ -43,34 +44,24 @@ _G = np.array([0.0, 0.0, GRAVITY])
 _CONSTANTS = imu.constants(imu.ImuNoise(), imu.Coast(), None)
 _AT_REST = np.eye(1, X.SIZE, X.Q.start)[0]
 _XYZ, _TINY = 3, 1e-12
-
-
-class Way(NamedTuple):
-    """From one fix to the next: mean velocity by the fixes, s / h and u by the IMU, with each attitude, (2, 3)."""
-
-    by_fixes: Array
-    mean: Array
-    gained: Array
+_XV, _XQ, _XG = X.V.start, X.Q.start, X.BG.start  # compiled code reads plain integers
 
 
 class Moments(NamedTuple):
-    """Sums over pairs of ways since t0_ns: of (1, a, d), (2, 7, 7); squared rotation; what the attitudes leave of it, (2,)."""
+    """Sums over pairs of ways since t0_ns: of (1, a, d), (2, 7, 7); turned (3,): squared rotation, what attitudes leave of it.
+
+    A way from one fix to the next, (2, 3, 3), with each attitude: mean velocity by the fixes, s / h and u by the IMU.
+    """
 
     t0_ns: int
     sums: Array
-    rotation: float
-    left: Array
+    turned: Array
 
-    def also(self, before: Way, way: Way) -> "Moments":
+    def also(self, before: Array, way: Array) -> "Moments":
         """With one more pair."""
-        a = way.mean - before.mean + before.gained
-        rows = np.concatenate((np.ones((2, 1)), a, np.tile(way.by_fixes - before.by_fixes, (2, 1))), axis=1)
-        return self._replace(sums=self.sums + rows[:, :, None] * rows[:, None, :])
-
-    def turned(self, gyro: Array, by_fixes: Array) -> "Moments":
-        """With one more rotation (3,), and that of the fixes with each attitude, (2, 3)."""
-        left = np.sum((by_fixes - gyro) ** 2, axis=1)
-        return self._replace(rotation=self.rotation + float(gyro @ gyro), left=self.left + left)
+        row = np.ones((2, 7))
+        row[:, 1:4], row[:, 4:] = way[:, 1] - before[:, 1] + before[:, 2], way[:, 0] - before[:, 0]
+        return self._replace(sums=self.sums + row[:, :, None] * row[:, None, :])
 
     @property
     def verdict(self) -> tuple[int, Array, float] | None:
@@ -86,7 +77,7 @@ class Moments(NamedTuple):
         k = np.stack((np.ones_like(k), np.where((k > _NO_UNIT[0]) & (k < _NO_UNIT[1]), 1.0, k)))
         left = (s_d - 2.0 * k * along + k * k * s_aa) / s_d  # (k, attitude, M)
         cost = n * np.log(np.maximum(left, _TINY)) + _CHANGES
-        wrong = (self.left > _TURN_LEFT * self.rotation) | (np.abs(self.sums[:, 0, _XYZ]) > _HEAVY_M_S * n)
+        wrong = (self.turned[1:] > _TURN_LEFT * self.turned[0]) | (np.abs(self.sums[:, 0, _XYZ]) > _HEAVY_M_S * n)
         is_explained = (left < _LEFT) & ~wrong[:, None]
         at = np.unravel_index(int(np.where(is_explained, cost, math.inf).argmin()), left.shape)
         best, asked = float(cost[at]), float(cost[0, 0, 0])
@@ -106,7 +97,7 @@ class Frame(NamedTuple):
     t_ns: int
     p_n: Array
     q_nb_wxyz: Array
-    way: Way | None
+    way: Array | None
     moments: Moments
     says: str | None = None
 
@@ -124,13 +115,9 @@ class Frame(NamedTuple):
         if not 0 < between_ns <= _LONGEST_NS or i == 0:
             return self._replace(t_ns=t_ns, p_n=p_n, q_nb_wxyz=q_nb_wxyz, way=None)
         x = imu.moved(_AT_REST, samples.t_ns, samples.u, samples.count, i, self.t_ns, t_ns, _CONSTANTS)
-        h, R = between_ns * 1e-9, so3.matrix(self.q_nb_wxyz)
-        both = np.stack((R, ENU_FROM_NED @ R @ FLU_FROM_FRD))
-        mean, gained = both @ (x[X.P] / h - 0.5 * h * _G) + 0.5 * h * _G, both @ (x[X.V] - h * _G) + h * _G
-        way = Way((p_n - self.p_n) / h, mean, gained)
-        turn = so3.quat_log(so3.multiply(so3.conjugate(self.q_nb_wxyz), q_nb_wxyz))
+        way, turned = _way(x, between_ns * 1e-9, self.p_n, self.q_nb_wxyz, p_n, q_nb_wxyz)
         moments = self.moments if (t_ns - self.moments.t0_ns) * 1e-9 < _ANEW_S else _nothing(t_ns)
-        moments = moments.turned(so3.quat_log(x[X.Q]), np.stack((turn, FLU_FROM_FRD @ turn)))
+        moments = moments._replace(turned=moments.turned + turned)
         if self.way is not None:
             moments = moments.also(self.way, way)
         found = moments.verdict
@@ -149,4 +136,20 @@ def _words(attitude: int, m: Array, k: float) -> str:
 
 
 def _nothing(t_ns: int) -> Moments:
-    return Moments(t_ns, np.zeros((2, 7, 7)), 0.0, np.zeros(2))
+    return Moments(t_ns, np.zeros((2, 7, 7)), np.zeros(_XYZ))
+
+
+@njit(cache=True, error_model="numpy")
+def _way(x: Array, h: float, p: Array, q: Array, p_next: Array, q_next: Array) -> tuple[Array, Array]:
+    """Way (2, 3, 3) and turned (3,) of Moments, from a fix (p, q) to the next; x (16,): moved by the IMU alone from rest."""
+    by_imu, by_fixes = so3.quat_log(x[_XQ:_XG]), so3.quat_log(so3.multiply(so3.conjugate(q), q_next))
+    r, way, turned, u = so3.matrix(q), np.empty((2, 3, 3)), np.zeros(3), x[_XV:_XQ] - h * _G
+    s = x[:_XV] / h - 0.5 * h * _G
+    for attitude in range(2):
+        if attitude == 1:
+            r, by_fixes = so3.product(so3.product(ENU_FROM_NED, r), FLU_FROM_FRD), so3.applied(FLU_FROM_FRD, by_fixes)
+        way[attitude, 0] = (p_next - p) / h
+        way[attitude, 1], way[attitude, 2] = so3.applied(r, s) + 0.5 * h * _G, so3.applied(r, u) + h * _G
+        turned[1 + attitude] = np.sum((by_fixes - by_imu) ** 2)
+    turned[0] = np.sum(by_imu**2)
+    return way, turned

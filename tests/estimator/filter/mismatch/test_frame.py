@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.mismatch import Frame
-from estimator.filter.mismatch.frame import Moments, Way
+from estimator.filter.mismatch.frame import Moments
 from models.frames import ENU_FROM_NED, FLU_FROM_FRD
 from models.messages import GnssFix, ImuSample, Input, PoseFix, Reason, vec3
 from models.sim.scenario import EPOCH_NS, Simulation
@@ -60,11 +60,10 @@ def _said(messages: Sequence[Input], change: Change) -> str | None:
 
 def _moments(a: object, m: object, seed: int = 1) -> Moments:
     """Of changes of velocity a (n, 3) that fixes show as m a."""
-    rng, found = np.random.default_rng(100 + seed), Moments(EPOCH_NS, np.zeros((2, 7, 7)), 1.0, np.zeros(2))
-    still = Way(*np.zeros((3, 2, 3)))._replace(by_fixes=np.zeros(3))
+    rng, found = np.random.default_rng(100 + seed), Moments(EPOCH_NS, np.zeros((2, 7, 7)), np.eye(3)[0])
     for row in np.asarray(a, dtype=float):
         by_fixes = np.asarray(m) @ row + rng.normal(0.0, 0.1, 3)
-        found = found.also(still, Way(by_fixes, np.stack((row, row)), np.zeros((2, 3))))
+        found = found.also(np.zeros((2, 3, 3)), np.stack([(by_fixes, row, np.zeros(3))] * 2))
     return found
 
 
