@@ -10,7 +10,6 @@ receiver does not outweigh fixes.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -90,16 +89,15 @@ class Offset(NamedTuple):
     is_receiver: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Conflicts:
+class Conflicts(NamedTuple):
     """apart: sources in lasting disagreement, by topic; newest: positions of all.
 
     contrary_ns: last rejected velocity of a receiver, by the topic of its positions.
     """
 
-    apart: dict[str, Apart] = field(default_factory=dict)
-    contrary_ns: dict[str, int] = field(default_factory=dict)
-    newest: dict[str, Offset] = field(default_factory=dict)
+    apart: Mapping[str, Apart] = {}
+    contrary_ns: Mapping[str, int] = {}
+    newest: Mapping[str, Offset] = {}
 
     def compared(self, aid: Aid, z: Measurement, position_n: Array, *, disagrees: bool, lingers: bool = False) -> "Conflicts":
         """After a reading, estimate at position_n (3,) [m]; lingers: until the source is near."""
@@ -107,7 +105,7 @@ class Conflicts:
         if not (isinstance(z, Position | Pose) and len(z.z_n) == len(z.rows[:_XYZ])):
             return self.without(aid.topic)
         off, s = z.z_n - position_n, z.noise[:_XYZ, :_XYZ]
-        newest = {**self.newest, aid.topic: Offset(aid.t_ns, off, float(s.trace()), aid.geodetic is not None)}
+        newest = {**self.newest, aid.topic: Offset(aid.t_ns, off, sum(s.diagonal().tolist()), aid.geodetic is not None)}
         here = Conflicts(self.apart, self.contrary_ns, newest)
         if disagrees or (lingers and before):
             s = s + sum(error.covariance for error in aid.slow_errors if len(error.covariance) == _XYZ)
@@ -118,21 +116,21 @@ class Conflicts:
             elif (last := self.newest.get(aid.topic)) is not None and aid.t_ns - last.t_ns < RECENT_NS:
                 now = now._replace(jumped=now.distance2 > _JUMPS)
             if disagrees or not now.is_near:
-                return replace(here, apart={**self.apart, aid.topic: now})
+                return here._replace(apart={**self.apart, aid.topic: now})
         return here._agrees(aid.topic)
 
     def without(self, topic: str) -> "Conflicts":
         """Nothing of this source."""
         newest = {t: at for t, at in self.newest.items() if t != topic} if topic in self.newest else self.newest
-        return replace(self._agrees(topic), newest=newest)
+        return self._agrees(topic)._replace(newest=newest)
 
     def _agrees(self, topic: str) -> "Conflicts":
-        return replace(self, apart={t: a for t, a in self.apart.items() if t != topic}) if topic in self.apart else self
+        return self._replace(apart={t: a for t, a in self.apart.items() if t != topic}) if topic in self.apart else self
 
     def judged(self, aid: Aid, z: Measurement, position_n: Array, *, is_rejected: bool) -> "Conflicts":
         """Once aligned: sources whose positions are rejected, receivers whose velocities are."""
         if aid.receiver and is_rejected:
-            return replace(self, contrary_ns=self.contrary_ns | {aid.receiver: aid.t_ns})
+            return self._replace(contrary_ns={**self.contrary_ns, aid.receiver: aid.t_ns})
         if not aid.absolute:
             return self
         is_receiver, contrary_ns = aid.log_misled is not None, self.contrary_ns.get(aid.topic)

@@ -65,11 +65,10 @@ class SlowErrors(NamedTuple):
 
     def used(self, blocks: Sequence[str]) -> "SlowErrors":
         """With these blocks as the last used."""
-        now = [block for block in blocks if block in self.columns]
-        if now == [*self.columns][len(self.columns) - len(now) :]:
-            return self
-        others = {name: c for name, c in self.columns.items() if name not in now}
-        columns = others | {block: self.columns[block] for block in now}
+        columns = self.columns.copy()
+        for block in blocks:
+            if block in columns:
+                columns[block] = columns.pop(block)
         return SlowErrors(columns, self.tau_s, self.psd, self.mean, self.estimated)
 
     def oldest(self, kind: str, most: int) -> str | None:

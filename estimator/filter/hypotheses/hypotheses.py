@@ -88,9 +88,9 @@ class Hypotheses:
     @property
     def conflict(self) -> tuple[frozenset[str], float] | None:
         """Topics that only the leading hypothesis rejects, and their distance [m]."""
-        lead, rejected = self.members[0], self.members[0].rejected
+        lead = self.members[0]
         for member in self.members[1:]:
-            if member.benefit > 0.0 and (topics := rejected - member.doubts.keys()):
+            if member.benefit > 0.0 and (topics := lead.rejected - member.doubts.keys()):
                 off = member.filter.x[X.P] - lead.filter.x[X.P]
                 return frozenset(topics), float(np.linalg.norm(off))
         return None

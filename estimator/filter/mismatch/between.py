@@ -41,7 +41,7 @@ def noted(means: Means, topic: str, t_ns: int, nu: Array, noise: Array) -> Means
     """After a fix with the innovation nu (m,) and R (m, m)."""
     before = means.get(topic)
     m = before.m if before is not None and t_ns - before.t_ns < RECENT_NS else np.zeros(_XYZ)
-    return {**means, topic: Mean(t_ns, m + _GAIN * (nu[:_XYZ] - m), float(noise[:_XYZ, :_XYZ].trace()))}
+    return {**means, topic: Mean(t_ns, m + _GAIN * (nu[:_XYZ] - m), sum(noise.diagonal().tolist()[:_XYZ]))}
 
 
 def covariance(means: Means, without: Container[str]) -> Array | None:

@@ -34,7 +34,7 @@ _ANEW_S = 60.0  # the sums begin anew
 _SIGMAS = 6.0
 _FEWEST = 3  # readings
 _LONGEST_S = 0.5  # no longer delay is found
-_APART_M = 3.0  # sigma of the difference of two sources' positions: MAP_M of the faults
+_APART = np.eye(3) / 3.0**2  # m^-2: information on the difference of two sources' positions, MAP_M of the faults
 _KNOWN_S = 0.02  # sigma of tau that the sums must reach
 _SIGMA_S = 0.1  # of tau, to begin with, where it is a state
 _PROBE_S = 1e-4  # s0: less than the motion of any vehicle shows
@@ -66,9 +66,9 @@ class Delay(NamedTuple):
         """A and b."""
         if self.offset is None:
             return self.information, self.score
-        left = np.linalg.solve(self.offset[:, 1:4] + np.eye(_XYZ) / _APART_M**2, self.offset[:, [0, 4]])
-        by_offset, score = (self.offset[:, 0] @ left).tolist()
-        return max(self.information - by_offset, _TINY), self.score - score
+        by, score = self.offset[:, 0], self.offset[:, 4]
+        known = by @ cholesky.inverse(self.offset[:, 1:4] + _APART)
+        return max(self.information - float(known @ by), _TINY), self.score - float(known @ score)
 
     def covariance(self, sigma_s: float, v_n: Array) -> Array | None:
         """E[tau^2] v v^T of the position, (3, 3), prior sigma_s; None where negligible."""
@@ -111,7 +111,7 @@ class Delay(NamedTuple):
         if shown:
             total, scores = now.evidence
             shown = total * _KNOWN_S**2 > 1.0 and scores**2 > _SIGMAS**2 * total
-        return now._replace(is_state=shown)
+        return now._replace(is_state=True) if shown else now
 
 
 Delays: TypeAlias = dict[str, Delay]  # by topic of the source, or of its receiver's positions
