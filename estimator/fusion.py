@@ -16,6 +16,7 @@ from estimator.filter.history import Entry, History
 from estimator.filter.quiet import Quiet
 from estimator.filter.tracker import Tracker
 from estimator.integrity.config import IntegrityConfig
+from estimator.integrity.faults import sigmas
 from estimator.integrity.monitor import Monitor
 from estimator.sources.aids import aid_of
 from estimator.sources.air.drag import EVERY_NS as DRAG_EVERY_NS
@@ -470,9 +471,8 @@ class Fusion:
         biases: dict[str, float] = {}
         if hypotheses is not None and tracker.alignment.shown is not None:
             cov = tracker.shown_covariance()  # as it is published
-            horizontal = np.linalg.eigvalsh(cov[E.P, E.P][:2, :2])[-1]
-            radius = _RADIUS95 * math.sqrt(max(0.0, float(horizontal)))
-            attitude = math.degrees(math.sqrt(float(np.diag(cov)[E.THETA].max())))
+            radius = _RADIUS95 * sigmas(cov[E.P, E.P])[0]
+            attitude = math.degrees(math.sqrt(max(cov.diagonal().tolist()[E.THETA])))
             biases = _biases(hypotheses.lead.x, cov) | _wind(hypotheses.lead)
         never = tracker.core.last_absolute_ns < 0
         return Health(
@@ -513,12 +513,9 @@ def _is_plausible(checkpoint: Checkpoint) -> bool:
 
 
 def _biases(x: Array, cov: Array) -> dict[str, float]:
-    values: dict[str, float] = {}
-    for name, value, error in (("gyro", X.BG, E.BG), ("accel", X.BA, E.BA)):
-        sigma = np.sqrt(np.diag(cov)[error])
-        for axis, bias, spread in zip("xyz", x[value].tolist(), sigma.tolist(), strict=True):
-            values |= {f"{name}_{axis}": bias, f"{name}_{axis}_sigma": spread}
-    return values
+    names = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
+    known = zip(names, x.tolist()[X.BG.start :], cov.diagonal().tolist()[E.BG.start :], strict=True)
+    return {key: value for name, bias, var in known for key, value in ((name, bias), (f"{name}_sigma", math.sqrt(var)))}
 
 
 def _wind(lead: Eskf) -> dict[str, float]:

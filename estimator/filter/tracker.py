@@ -134,7 +134,8 @@ class Tracker:
         cov = bank.covariance() if mixed is None else mixed
         if not core.is_aligned:
             widen_unaligned(cov, bank, core.config.initialise)
-        cov *= self.lasting_ratio
+        if (ratio := self.lasting_ratio) > 1.0:
+            cov *= ratio
         if (added := self.added) is not None:
             cov[E.P, E.P] += added
         if (stepped := self.step_covariance) is not None:

@@ -25,21 +25,11 @@ _SILENT_S = 10.0  # a source that is silent for longer has no say
 
 
 class Recent(NamedTuple):
-    """Newest ratios r of a topic, the largest usual median, and m_2 / m_50."""
+    """Newest ratios r of a topic, and e."""
 
     t_ns: int
     ratios: tuple[float, ...]
-    usual: float
-    rare: float
-
-    @property
-    def excess(self) -> float:
-        """e, 1 if the median is usual or of too few."""
-        if len(self.ratios) < _FEWEST:
-            return 1.0
-        ordered = sorted(self.ratios)
-        middle = ordered[(len(ordered) - 1) // 2]
-        return max(min(middle, ordered[1] / self.rare), 1.0) if middle > self.usual else 1.0
+    excess: float
 
 
 class VarianceFactor(NamedTuple):
@@ -60,12 +50,12 @@ class VarianceFactor(NamedTuple):
         """With one more squared Mahalanobis distance, at f = 1; r above `largest` does not count."""
         if largest is None:
             largest = LARGEST if self.is_proven else LARGEST_AT_FIRST
-        before, middle = self.recent.get(topic), gate(0.5, dof)
-        ratio, ratios = distance2 / middle, before.ratios if before else ()
+        before = self.recent.get(topic)
+        ratio, ratios = distance2 / gate(0.5, dof), before.ratios if before else ()
         if ratio <= largest:
             ratios = (*ratios[1 - _WINDOW :], ratio)
         recent = {name: r for name, r in self.recent.items() if (t_ns - r.t_ns) * 1e-9 < _SILENT_S}
-        recent[topic] = Recent(t_ns, ratios, gate(_USUAL, dof) / middle, gate(_RARE, dof) / middle)
+        recent[topic] = Recent(t_ns, ratios, _excess(ratios, dof))
         excess = min([r.excess for r in recent.values()])
         seconds = (t_ns - self.t_ns) * 1e-9
         value = max(excess, _faded(self.value, seconds, _FADES_S))
@@ -74,7 +64,18 @@ class VarianceFactor(NamedTuple):
         return VarianceFactor(value, t_ns, recent, in_a_row, lasting)
 
 
+def _excess(ratios: tuple[float, ...], dof: int) -> float:
+    """e, 1 if the median is usual or of too few."""
+    if len(ratios) < _FEWEST:
+        return 1.0
+    ordered, m_50 = sorted(ratios), gate(0.5, dof)
+    middle = ordered[(len(ordered) - 1) // 2]
+    return max(min(middle, ordered[1] / (gate(_RARE, dof) / m_50)), 1.0) if middle > gate(_USUAL, dof) / m_50 else 1.0
+
+
 def _faded(factor: float, seconds: float, over_s: float) -> float:
+    if factor == 1.0:  # most of the time
+        return factor
     faded = 1.0 + (factor - 1.0) * math.exp(-seconds / over_s)
     return faded if faded > _GONE else 1.0
 

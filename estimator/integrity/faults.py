@@ -98,7 +98,7 @@ def faults(now: Snapshot, config: IntegrityConfig) -> list[Fault]:
 
 
 def _weighed(now: Snapshot) -> Iterator[Fault]:
-    sigma_h, sigma_v = _sigmas(now.covariance)
+    sigma_h, sigma_v = sigmas(now.covariance)
     lead, *others = now.hypotheses.members
     others = [] if now.single else [m for m in others if m.benefit or not m.without]  # no spare ones
     whole = 1.0 + sum(math.exp(m.weight + m.benefit) for m in others)
@@ -180,7 +180,7 @@ def _is_confirmed(member: Hypothesis, topic: str, now: Snapshot) -> bool:
 
 def _separated(name: str, probability: float, member: Hypothesis, now: Snapshot) -> Fault:
     n, e, d = (member.filter.x[X.P] - now.hypotheses.lead.x[X.P]).tolist()
-    sigma_h, sigma_v = _sigmas(now.variance_factor * member.filter.cov[E.P, E.P])
+    sigma_h, sigma_v = sigmas(now.variance_factor * member.filter.cov[E.P, E.P])
     return Fault(name, probability, math.hypot(n, e), sigma_h, abs(d), sigma_v)
 
 
@@ -193,7 +193,8 @@ def _t2(f: Fault) -> float:
     return h * h + v * v
 
 
-def _sigmas(P: Array) -> tuple[float, float]:
+def sigmas(P: Array) -> tuple[float, float]:
+    """Largest in the plane, and vertical, of a covariance (3, 3)."""
     (a, b, _), (_, c, _), (_, _, v) = P.tolist()
     largest = 0.5 * (a + c) + math.hypot(0.5 * (a - c), b)
     return math.sqrt(max(largest, 0.0)), math.sqrt(max(v, 0.0))

@@ -42,7 +42,7 @@ def shares(members: list[Hypothesis]) -> list[float]:
 def ln_sum(terms: list[float]) -> float:
     """ln of the sum of exp(terms)."""
     top = max(terms)
-    return top + math.log(sum(math.exp(term - top) for term in terms))
+    return top if len(terms) == 1 else top + math.log(sum([math.exp(term - top) for term in terms]))
 
 
 @njit(cache=True, error_model="numpy")

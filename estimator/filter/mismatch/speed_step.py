@@ -54,11 +54,11 @@ class SpeedStep(NamedTuple):
     def after(self, t_ns: int, nu: Array, x: Array, variance: Array) -> "SpeedStep":
         """With what the next reading shows: nu (3,) from the state x (16,) that the IMU has moved since the last."""
         step, dt_s = nu - self.nu, (t_ns - self.t_ns) * 1e-9
-        accel = (x[X.V] - self.x[X.V]) / dt_s
-        sigma2 = np.maximum(variance + self.variance, self.scatter2) + (_TIMING_S * accel) ** 2
-        is_known = self.usual >= _FEWEST and math.hypot(*step.tolist()) >= _LEAST_M_S
-        if is_known and float((step**2 / sigma2).sum()) >= _SIGMAS**2:
-            return self._stepped(step)
+        if self.usual >= _FEWEST and math.hypot(*step.tolist()) >= _LEAST_M_S:
+            accel = (x[X.V] - self.x[X.V]) / dt_s
+            sigma2 = np.maximum(variance + self.variance, self.scatter2) + (_TIMING_S * accel) ** 2
+            if float((step**2 / sigma2).sum()) >= _SIGMAS**2:
+                return self._stepped(step)
         usual = self.usual + 1
         share = max(1.0 / usual, -math.expm1(-dt_s / _USUAL_S))
         scatter2 = self.scatter2 + share * (float(step @ step) / _XYZ - self.scatter2)
