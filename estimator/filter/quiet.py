@@ -10,6 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from estimator.filter.bounds import is_within
+from estimator.filter.eskf import Eskf
 from estimator.filter.hypotheses.mixture import mix, scale, shares
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.tracker import Tracker
@@ -25,47 +26,40 @@ _NO_FACTORS = 0.0, 0.0  # another hypothesis follows
 class Quiet:
     """A publishing tracker at the newest sample, nothing to process for `left` samples and until_ns."""
 
-    __slots__ = (
-        "_added", "_factors", "_is_whole", "_lead", "_limits", "_others", "_root", "_share", "left", "mode", "samples", "tracker",
-        "until_ns",
-    )  # fmt: skip
+    __slots__ = ("_added", "_filters", "_is_whole", "left", "mode", "samples", "tracker", "until_ns")
 
     def __init__(self, tracker: Tracker, samples: ImuBuffer, left: int) -> None:
         self.tracker, self.samples, self.left = tracker, samples, left
         bank = tracker.alignment.bank
         assert bank is not None
         self.mode, self.until_ns = tracker.mode_until(samples.newest_ns)
-        self._lead, (self._share, *weights) = bank.lead, shares(bank.members)
-        members = tracker.alignment.members
+        members, weights = tracker.alignment.members, shares(bank.members)
         weights += [0.0] * (len(members) - len(bank.members))  # of those without the sensor of the heading
-        self._others = [(member.filter, share) for member, share in zip(members[1:], weights, strict=True)]
-        factor = self._lead.variance_factor
-        self._root, self._limits, self._is_whole = math.sqrt(factor), tracker.limits, tracker.shows_mixture
-        self._factors = factor, tracker.lasting_ratio if self._is_whole else 1.0
+        self._is_whole, factor, root = tracker.shows_mixture, bank.lead.variance_factor, 0.0
+        ratio, self._filters = tracker.lasting_ratio if self._is_whole else 1.0, list[tuple[Eskf, Array]]()
+        for member, share in zip(members, weights, strict=True):
+            factors = (factor, ratio) if member is members[-1] else _NO_FACTORS
+            self._filters.append((member.filter, np.array((*tracker.limits, share, root, *factors))))
+            root = math.sqrt(factor)
         added = tracker.added if self._is_whole else None
         self._added = _NOTHING if added is None else added
 
     def take(self, sample: ImuSample) -> tuple[Array, Array] | None:
         """Append the sample and propagate: nav (16,) and covariance (15, 15) to publish; None: out of bounds."""
-        samples, lead, t_ns, slow = self.samples, self._lead, sample.t_ns, self._lead.slow
+        samples, t_ns, lead = self.samples, sample.t_ns, self._filters[0][0]
         index, nav, covariance = samples.begin_next(), np.empty(_XN), np.empty((_N, _N))
         buffer, read = (samples.t_ns, samples.u, samples.known), (*sample.gyro_b, *sample.accel_b)
-        is_good = _take(
-            lead.x, lead.cov, *buffer, index, lead.t_ns, t_ns, *read, lead.constants, slow.tau_s, slow.psd, *self._limits,
-            self._share, 0.0, *(_NO_FACTORS if self._others else self._factors), self._added, nav, covariance,
-        )  # fmt: skip
-        lead.t_ns = self.tracker.core.t_ns = t_ns
-        left = len(self._others)
-        for eskf, share in self._others:
-            slow, left = eskf.slow, left - 1
+        for eskf, rules in self._filters:
+            slow = eskf.slow
             eskf.sound = _take(
-                eskf.x, eskf.cov, *buffer, index, eskf.t_ns, t_ns, *read, eskf.constants, slow.tau_s, slow.psd, *self._limits,
-                share, self._root, *(_NO_FACTORS if left else self._factors), self._added, nav, covariance,
+                eskf.x, eskf.cov, *buffer, index, eskf.t_ns, t_ns, *read, eskf.constants, slow.tau_s, slow.psd, rules,
+                self._added, nav, covariance,
             )  # fmt: skip
             eskf.t_ns = t_ns
+        self.tracker.core.t_ns = t_ns
         samples.end_next(t_ns)
         self.left -= 1
-        if not is_good:
+        if not lead.sound:  # or out of bounds
             lead.sound = sound(lead.x, lead.cov)
             return None
         return nav, covariance if self._is_whole else self.tracker.shown_covariance(covariance)
@@ -75,16 +69,19 @@ class Quiet:
 def _take(
     x: Array, cov: Array, t_ns: NDArray[np.int64], u: Array, known: Array, i: int, from_ns: int, to_ns: int,
     wx: float, wy: float, wz: float, fx: float, fy: float, fz: float, c: Array, tau: Array, psd: Array,
-    fastest: float, least_down: float, most_down: float, sigma: float, share: float, root: float, factor: float,
-    ratio: float, added: Array, nav: Array, covariance: Array,
+    rules: Array, added: Array, nav: Array, covariance: Array,
 ) -> bool:  # fmt: skip
     """x, P (n, n) of a hypothesis to sample i (w, f) at to_ns; whether the state is sound.
 
-    root: 0 of the leading one, which comes first: it puts the sample into the buffer, nav <- x, covariance <- share P of the 15.
+    rules (8,): the four limits of bounds.is_within, share, root, factor, ratio; one array, for each argument costs time. root: 0
+    of the leading one, which comes first: it puts the sample into the buffer, nav <- x, covariance <- share P of the 15.
     False: or it may be out of bounds. Of another one f^1/2: its share of the covariance is added (mixture.mix). factor: 0 but of
     the last one, then f: covariance <- ratio f covariance, added (3, 3) to the position's. The rest as imu.propagate and
     bounds.is_within.
     """
+    fastest, least_down, most_down, sigma, share, root, factor, ratio = (
+        rules[0], rules[1], rules[2], rules[3], rules[4], rules[5], rules[6], rules[7]
+    )  # fmt: skip
     leads = root == 0.0
     if leads:
         sampling.put(t_ns, u, known, i, i + 1, to_ns, wx, wy, wz, fx, fy, fz)
