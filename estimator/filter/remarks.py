@@ -7,7 +7,7 @@ import numpy as np
 
 from estimator.filter.conflict import RECENT_NS, Apart
 from estimator.filter.hypotheses import Hypotheses
-from estimator.filter.mismatch import Delays, Frame, Jamming, Scatter, delay
+from estimator.filter.mismatch import CONSTANTS, Frame, Jamming, Scatter, Scores, score
 from estimator.filter.relative import drift
 from estimator.sources.base.machine import SourceState
 from estimator.sources.odometry import DRIFT, WRONG, drift_block
@@ -90,9 +90,9 @@ def drifts(hypotheses: Hypotheses | None) -> list[str]:
     ]
 
 
-def delays(found: Delays, hypotheses: Hypotheses | None) -> list[str]:
-    """Sources later than configured."""
-    return delay.remarks(found, hypotheses.lead) if hypotheses is not None else []
+def constants(found: Scores, hypotheses: Hypotheses | None) -> list[str]:
+    """Delays and headings of sources that nobody configured."""
+    return score.remarks(CONSTANTS, found, hypotheses.lead) if hypotheses is not None else []
 
 
 def held(found: Mapping[str, int], t_ns: int) -> list[str]:

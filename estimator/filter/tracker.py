@@ -29,16 +29,19 @@ from estimator.filter.hypotheses import Hypotheses, Hypothesis, Verdict
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.imu_evidence import FELT, ImuEvidence
 from estimator.filter.mismatch import (
+    CONSTANTS,
+    DELAY,
     BiasWalk,
-    Delays,
     Frame,
     Jamming,
     Lasting,
     Means,
     Scatter,
+    Scores,
     between,
     delay,
     lasting,
+    score,
     speed_step,
 )  # fmt: skip
 from estimator.filter.relative import steps
@@ -88,7 +91,7 @@ class Tracker:
         self.frames: dict[str, Frame] = {}  # of pose sources; never changed in place
         self.means: Means = {}  # of sources of fixes
         self.between: Array | None = None  # (3, 3) of the position, by what they differ by
-        self.delays: Delays = {}
+        self.scores: Scores = {}  # of constants of the sources
         self.lasting: Mapping[str, Lasting] = {}  # of pose sources
         self.late_cov: Array | None = None  # (3, 3) of the position, by a delay that the newest fix may have
         self.speed_steps: speed_step.Steps = {}
@@ -113,7 +116,7 @@ class Tracker:
         other.sources, other.place, other.anchor = self.sources.copy(), self.place, self.anchor
         other.alignment.given_up = self.alignment.given_up
         other.frames, other.lasting = self.frames, self.lasting
-        other.delays, other.bias_walk = self.delays, self.bias_walk
+        other.scores, other.bias_walk = self.scores, self.bias_walk
         return other
 
     @property
@@ -244,7 +247,7 @@ class Tracker:
             *remarks.drifts(core.hypotheses),
             *remarks.wrong(self.sources),
             *remarks.refuted(self.sources, core.t_ns),
-            *remarks.delays(self.delays, core.hypotheses),
+            *remarks.constants(self.scores, core.hypotheses),
             *remarks.variance(core.variance_factor.lasting),
             *remarks.held(self.held_ns, core.t_ns),
             *remarks.scatter(self.scatter, core.t_ns),
@@ -361,7 +364,7 @@ class Tracker:
             self.alignment.wait_for_heading(aid, z, gyro_b)
         else:
             hypotheses, switches = core.hypotheses, core.hypotheses.switches
-            aid = delay.carried(aid, z, core.last_sample(samples), self.delays, hypotheses.members, alone=alone)
+            aid = score.carried(CONSTANTS, aid, z, core.last_sample(samples), self.scores, hypotheses.members, alone=alone)
             as_it_came, whole = aid, z
             aid, z = lasting.carried(aid, z, self.lasting)
             decision, state = self._judge(aid, z, gyro_b, state, alone=alone)
@@ -451,11 +454,12 @@ class Tracker:
         may_be_late = apart is None or delay.explains(apart.off, apart.s, core.hypotheses.lead.x)
         if trusted and may_be_late and (aid.absolute or aid.receiver):
             weight = self.lasting[aid.topic].weight if aid.topic in self.lasting else 1.0
-            self.delays = delay.noted(aid, verdict.used, verdict.gate, self.delays, core.hypotheses.members, weight, alone=alone)
-            if aid.absolute and (aid.delay_sigma_s or alone):
-                self.late_cov = self.delays[aid.witness].covariance(aid.delay_sigma_s, core.hypotheses.lead.x[X.V])
-            if self.delays[aid.witness].is_state:
-                core.stretch = None  # a run would leave the delay out
+            members = core.hypotheses.members
+            self.scores = score.noted(CONSTANTS, aid, verdict.used, verdict.gate, self.scores, members, weight, alone=alone)
+            if aid.absolute and (aid.delay_sigma_s or alone) and (late := self.scores.get(DELAY.block(aid.witness))) is not None:
+                self.late_cov = delay.covariance(late, aid.delay_sigma_s, core.hypotheses.lead.x[X.V])
+            if any(c.block(aid.witness) in self.scores and self.scores[c.block(aid.witness)].is_state for c in CONSTANTS):
+                core.stretch = None  # a run would leave the constants out
         if not aid.geodetic and core.conflicts.outvotes(aid.topic):
             core.hypotheses.lead_from(aid, z, gyro_b)
             core.variance_factor, core.conflicts, self.means = NO_EXCESS, Conflicts(), {}
@@ -533,7 +537,7 @@ class Tracker:
         if is_aided and (is_long or stretch.due(lead)):
             stretch = core.relinearise(stretch, samples)
             if core.hypotheses.lead is not lead:
-                delay.begin_again(core.hypotheses.lead, alone, core.last_sample(samples))
+                score.begin_again(CONSTANTS, core.hypotheses.lead, alone, core.last_sample(samples))
         core.stretch = stretch
         if stretch.is_settled:
             core.stretch = None

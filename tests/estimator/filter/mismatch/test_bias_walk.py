@@ -198,7 +198,7 @@ def test_a_restarted_estimate_keeps_what_was_estimated_of_the_sensors() -> None:
     again = tracker.restarted()
     assert again.bias_walk.factor == 100.0
     assert again.frames is tracker.frames
-    assert again.delays == tracker.delays
+    assert again.scores == tracker.scores
 
 
 def test_beside_a_receiver_that_agrees_with_the_fixes_it_is_the_motion_too() -> None:

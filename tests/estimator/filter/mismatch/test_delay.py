@@ -7,7 +7,8 @@ import pytest
 from msgspec.structs import replace
 
 from estimator.filter.eskf import Eskf, Innovation
-from estimator.filter.mismatch import delay
+from estimator.filter.mismatch import DELAY, delay, score
+from estimator.filter.mismatch.score import Sums
 from models import so3
 from models.imu import Coast, ImuNoise, constants
 from models.measurements import Measurement, PartialPose, Pose, Position, Velocity
@@ -49,7 +50,13 @@ def test_the_jacobian_is_how_the_reading_of_an_earlier_state_differs(name: str) 
     if isinstance(z, Pose):
         z = replace_pose(z, _state(0.0)[X.Q])
     now, before = (z.evaluate(_state(t), U[:3])[0] for t in (0.0, -late))  # nu = z - h(x)
-    np.testing.assert_allclose(delay.jacobian(z, _state(0.0), U), (now - before) / late, atol=5e-3)
+    np.testing.assert_allclose(_jacobian(z, _state(0.0)), (now - before) / late, atol=5e-3)
+
+
+def _jacobian(z: Measurement, x: Array) -> Array:
+    j = delay.jacobian(z, x, U)
+    assert j is not None
+    return j
 
 
 def replace_pose(z: Pose, q: Array) -> Pose:
@@ -60,11 +67,11 @@ def replace_pose(z: Pose, q: Array) -> Pose:
 @pytest.mark.parametrize("name", ["position", "velocity", "pose"])
 def test_a_filter_that_was_aligned_with_late_readings_foresees_late_readings(name: str) -> None:
     eskf = Eskf(EPOCH_NS, _state(0.0), 0.01 * np.eye(E.SIZE), constants(ImuNoise(), Coast(), None))
-    delay.begin(eskf, "/fix", U)
+    score.begin(DELAY, eskf, "/fix", U)
     z = MEASUREMENTS[name]
     if isinstance(z, Pose):
         z = replace_pose(z, eskf.x[X.Q])
-    seen = eskf.innovation(z, U[:3], [(delay.block("/fix"), delay.jacobian(z, eskf.x, U)[:, None])])
+    seen = eskf.innovation(z, U[:3], [(DELAY.block("/fix"), _jacobian(z, eskf.x)[:, None])])
     lever_free = 0.02 if name == "position" else 1e-12  # the lever's own speed is not in the state
     assert np.abs(seen.hp[:, -1]).max() < lever_free * 1e-8 * 10.0
 
@@ -99,9 +106,9 @@ def _flown(late_ms: float, late: tuple[type, ...], *, without: tuple[type, ...] 
 def _found_ms(run: Run, topic: str) -> tuple[float, float]:
     tracker = run.fusion._history.advance(run.estimates[-1].t_ns)
     assert tracker.core.hypotheses is not None
-    assert tracker.delays[topic].is_state
+    assert tracker.scores[DELAY.block(topic)].is_state
     lead = tracker.core.hypotheses.lead
-    at = lead.slow.columns[delay.block(topic)].start
+    at = lead.slow.columns[DELAY.block(topic)].start
     return 1e3 * float(lead.slow.mean[at - E.SIZE]), 1e3 * math.sqrt(lead.cov[at, at])
 
 
@@ -124,32 +131,32 @@ def test_a_receiver_that_is_late_is_found_to_be() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_no_delay_is_found_where_there_is_none(seed: int) -> None:
+def test_no_constant_is_found_where_there_is_none(seed: int) -> None:
     _, run = _flown(0.0, FIXES, seed=seed)
     tracker = run.fusion._history.advance(run.estimates[-1].t_ns)
-    assert set(tracker.delays) == {"/gnss", "/pose_fix"}
-    for found in tracker.delays.values():
+    assert set(tracker.scores) == {"/gnss.delay", "/pose_fix.delay", "/pose_fix.heading"}
+    for found in tracker.scores.values():
         assert not found.is_state
         assert found.score**2 < 16.0 * found.information
-    assert " ms (sigma" not in run.health[-1].detail
+    assert "(sigma" not in run.health[-1].detail
     assert run.estimates[-1].t_ns > EPOCH_NS + 89 * SECOND
 
 
 def test_a_delay_that_is_known_is_not_begun_again() -> None:
     eskf = Eskf(EPOCH_NS, _state(0.0), 0.01 * np.eye(E.SIZE), constants(ImuNoise(), Coast(), None))
-    delay.begin(eskf, "/fix", U)
+    score.begin(DELAY, eskf, "/fix", U)
     eskf.consider("gnss", np.eye(3), 60.0)
     before = eskf.cov.copy()
-    delay.begin(eskf, "/fix", U)
+    score.begin(DELAY, eskf, "/fix", U)
     np.testing.assert_array_equal(eskf.cov, before)
 
 
 def test_what_the_sums_have_found_becomes_a_state_with_its_variance_and_moves_the_rest_by_their_covariance() -> None:
     eskf = Eskf(EPOCH_NS, _state(0.0), 0.01 * np.eye(E.SIZE), constants(ImuNoise(), Coast(), None))
-    delay.begin(eskf, "/fix", U)
+    score.begin(DELAY, eskf, "/fix", U)
     v_n, before = _state(0.0)[X.V], eskf.cov[E.P, E.P].copy()
     information, tau_s = 1e4, 0.08  # a sigma of 10 ms; taken as 20 ms
-    delay.estimate(eskf, "/fix", delay.Delay(EPOCH_NS, information, tau_s * information, is_state=True))
+    score.estimate(DELAY, eskf, "/fix", Sums(EPOCH_NS, information, tau_s * information, is_state=True))
     variance = 1.0 / (information / 4.0 + 1.0 / 0.1**2)  # the prior is 0.1 s
     found_s = tau_s * variance * information / 4.0
     assert eskf.slow.mean[-1] == pytest.approx(found_s, rel=1e-6)
@@ -162,10 +169,10 @@ def test_what_the_sums_have_found_becomes_a_state_with_its_variance_and_moves_th
 
 @pytest.mark.parametrize(("speed_m_s", "is_state"), [(0.1, False), (100.0, True)])
 def test_a_delay_that_is_known_badly_is_no_state_however_unlikely_the_innovations(speed_m_s: float, is_state: bool) -> None:
-    found, one = delay.Delay(EPOCH_NS), np.eye(1)
+    found, one = Sums(EPOCH_NS), np.eye(1)
     for k in range(20):
         hp = speed_m_s * 1e-4**2 * one  # E[nu tau]: the innovation would be speed x tau
-        found = found.also(EPOCH_NS + k * SECOND, Innovation(np.array([3.0]), one, hp, one, one, 9.0, 0.0), 0)
+        found = found.also(DELAY, EPOCH_NS + k * SECOND, Innovation(np.array([3.0]), one, hp, one, one, 9.0, 0.0), 0)
     assert found.score**2 > 36.0 * found.information
     assert found.is_state == is_state
 
@@ -174,14 +181,14 @@ def test_a_delay_that_is_known_badly_is_no_state_however_unlikely_the_innovation
 @pytest.mark.parametrize("late", [True, False])
 def test_with_another_source_a_constant_difference_is_no_delay(turn_deg_s: float, late: bool) -> None:
     """At 20 m/s, 1 m: as from a delay of 50 ms, which shows in turns alone."""
-    noise, found, alone = 0.04 * np.eye(3), delay.Delay(EPOCH_NS), delay.Delay(EPOCH_NS)
+    noise, found, alone = 0.04 * np.eye(3), Sums(EPOCH_NS), Sums(EPOCH_NS)
     for k in range(60):
         course = math.radians(0.5 * turn_deg_s * k)
         v_n = 20.0 * np.array([math.cos(course), math.sin(course), 0.0])
         nu, hp = (-0.05 * v_n if late else np.array([-1.0, 0.0, 0.0])), -(1e-4**2) * v_n[:, None]
         seen = Innovation(nu, np.eye(3), hp, noise, noise, float(nu @ nu) / 0.04, 0.0)
-        found = found.also(EPOCH_NS + k * SECOND // 2, seen, 0, apart=True)
-        alone = alone.also(EPOCH_NS + k * SECOND // 2, seen, 0)
+        found = found.also(DELAY, EPOCH_NS + k * SECOND // 2, seen, 0, apart=True)
+        alone = alone.also(DELAY, EPOCH_NS + k * SECOND // 2, seen, 0)
     assert alone.is_state
     assert found.is_state == (late and turn_deg_s > 0.0)
     if found.is_state:
@@ -191,7 +198,7 @@ def test_with_another_source_a_constant_difference_is_no_delay(turn_deg_s: float
 
 def test_a_reading_that_shares_errors_with_the_last_counts_less() -> None:
     seen = Innovation(np.array([3.0]), np.eye(1), 1e-7 * np.eye(1), np.eye(1), np.eye(1), 9.0, 0.0)
-    whole, part = (delay.Delay(EPOCH_NS).also(EPOCH_NS, seen, 0, weight=weight) for weight in (1.0, 0.1))
+    whole, part = (Sums(EPOCH_NS).also(DELAY, EPOCH_NS, seen, 0, weight=weight) for weight in (1.0, 0.1))
     assert part.information == pytest.approx(0.1 * whole.information)
     assert part.score == pytest.approx(0.1 * whole.score)
 
@@ -204,10 +211,10 @@ def test_a_reading_that_shares_errors_with_the_last_counts_less() -> None:
 def test_a_reading_beyond_the_gate_counts_where_it_shows_a_delay_and_nothing_else(off: tuple[float, float], counts: bool) -> None:
     hp, nu = 40.0 * 1e-4**2 * np.ones((2, 1)), np.array(off)  # 40 m/s x tau
     seen = Innovation(nu, np.eye(2), hp, np.eye(2), np.eye(2), float(nu @ nu), 0.0)
-    found = delay.Delay(EPOCH_NS)
+    found = Sums(EPOCH_NS)
     for k in range(3):
         assert not found.is_state
-        found = found.also(EPOCH_NS + k * SECOND, seen, 0, gate=11.6)
+        found = found.also(DELAY, EPOCH_NS + k * SECOND, seen, 0, gate=11.6)
     assert found.readings == 3 * counts
     assert found.is_state == counts
 
@@ -244,23 +251,23 @@ def test_fixes_so_late_that_the_gate_refuses_them_are_found_to_be_late_and_not_r
 
 
 def test_what_is_left_of_the_configured_sigma_once_readings_have_shown_something() -> None:
-    nothing, v_n = delay.Delay(EPOCH_NS), np.array([20.0, 0.0, -5.0])
+    nothing, v_n = Sums(EPOCH_NS), np.array([20.0, 0.0, -5.0])
     vv = np.outer(v_n, v_n)
     np.testing.assert_allclose(_covariance(nothing, v_n), 0.02**2 * vv)
-    assert nothing.covariance(0.0, v_n) is None
-    assert nothing.covariance(0.02, 0.01 * v_n) is None  # 4 mm: less than counts
+    assert delay.covariance(nothing, 0.0, v_n) is None
+    assert delay.covariance(nothing, 0.02, 0.01 * v_n) is None  # 4 mm: less than counts
     a, b = 1e4, 1e2  # 10 ms, of a sigma of 10 ms
-    some = delay.Delay(EPOCH_NS, a, b)
+    some = Sums(EPOCH_NS, a, b)
     np.testing.assert_allclose(_covariance(some, v_n), (1.0 / 12500.0 + (100.0 / 12500.0) ** 2) * vv)
-    assert some._replace(is_state=True).covariance(0.02, v_n) is None
+    assert delay.covariance(some._replace(is_state=True), 0.02, v_n) is None
     one = np.eye(1)
-    later = some.also(EPOCH_NS + 61 * SECOND, Innovation(np.zeros(1), one, 1e-12 * one, one, one, 0.0, 0.0), 0)
+    later = some.also(DELAY, EPOCH_NS + 61 * SECOND, Innovation(np.zeros(1), one, 1e-12 * one, one, one, 0.0, 0.0), 0)
     assert later.information < a  # the sums are new; what the minute before has shown still counts
     np.testing.assert_array_equal(_covariance(later, v_n), _covariance(some, v_n))
 
 
-def _covariance(found: delay.Delay, v_n: Array) -> Array:
-    cov = found.covariance(0.02, v_n)
+def _covariance(found: Sums, v_n: Array) -> Array:
+    cov = delay.covariance(found, 0.02, v_n)
     assert cov is not None
     assert np.count_nonzero(cov) == np.count_nonzero(cov[E.P, E.P])
     return cov[E.P, E.P]
@@ -332,6 +339,6 @@ def test_a_receiver_that_is_pulled_off_is_not_late() -> None:
 
 def test_a_false_reading_of_a_vehicle_at_rest_shows_no_delay() -> None:
     """Where nothing moves, no reading depends on tau: the sums stay zero, and are divided by nothing."""
-    one, nothing = np.ones((1, 1)), delay.Delay(EPOCH_NS)
+    one, nothing = np.ones((1, 1)), Sums(EPOCH_NS)
     seen = Innovation(np.array([50.0]), one, np.zeros((1, 1)), one, one, 2500.0, 0.0)
-    assert nothing.also(EPOCH_NS, seen, 0, gate=6.6) == nothing
+    assert nothing.also(DELAY, EPOCH_NS, seen, 0, gate=6.6) == nothing
