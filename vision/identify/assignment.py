@@ -138,11 +138,23 @@ def _linear(x: Array, y: float, A: Array, row: Array) -> float:
 
 
 @njit(cache=True)
-def _alone(x: Array, cov: Array, y: float, A: Array, row: Array) -> float:
-    """Log density of one row alone, an upper bound of that of all."""
-    v = _linear(x, y, A, row)
-    s = 1.0 + _variance(row, cov)
-    return -0.5 * (v * v / s + math.log(s))
+def _far(x: Array, cov: Array, h: int, y: Array, A: Array, o: int, r: int, row: Array, room: float) -> bool:
+    """Whether row r alone makes option o of hypothesis h worse than `room`: v^2 / s + log s > room."""
+    growth, root = math.exp(x[h, SCALE]), 0.0
+    v = y[o, r] - A[o, r, GROWTH] * (growth - 1.0)
+    for a in range(STATES):
+        row[a] = A[o, r, a]
+        v -= row[a] * x[h, a]
+    row[SCALE] += A[o, r, GROWTH] * growth
+    for a in range(STATES):
+        root += abs(row[a]) * math.sqrt(cov[h, a, a])
+    if v * v > room * (1.0 + root * root):  # which s does not exceed
+        return True
+    s = 1.0
+    for a in range(STATES):
+        for b in range(STATES):
+            s += row[a] * cov[h, a, b] * row[b]
+    return bool(v * v / s + math.log(s) > room)
 
 
 @njit(cache=True)
@@ -167,25 +179,17 @@ def _search(
                 if _taken(chosen[h], landmark, o):
                     continue
                 base = weight[h] + log_weight[o]
-                if h and base + _alone(x[h], cov[h], y[o, POSITION], A[o, POSITION], row) < best - drop:
+                room = 2.0 * (base - best + drop)
+                if h and (_far(x, cov, h, y, A, o, POSITION, row, room) or _far(x, cov, h, y, A, o, POSITION + 1, row, room)):
                     continue
                 _copy(x[h], cov[h], x_new, cov_new)
                 children[h * choices + k] = base + _update(x_new, cov_new, y[o], A[o], best - drop - base)
                 best = max(best, children[h * choices + k])
-        for k in range(len(children)):
-            children[k] = -children[k]
-        ranked = ordering.ranked(children)
-        for k in range(len(children)):
-            children[k] = -children[k]
-        kept = 0
-        for child in ranked:
-            if children[child] < best - drop:
-                break
-            if kept < breadth:
-                kept += 1
-            else:
-                cut += math.exp(children[child] - best)
-        chosen, weight, x, cov = _grow(chosen, children, ranked[:kept], choices, start[i], i, x, cov, y, A)
+        alive = np.flatnonzero(children >= best - drop)
+        ranked = alive[ordering.ranked(-children[alive])]
+        for child in ranked[breadth:]:
+            cut += math.exp(children[child] - best)
+        chosen, weight, x, cov = _grow(chosen, children, ranked[:breadth], choices, start[i], i, x, cov, y, A)
     return chosen, weight, x, cov, cut
 
 
