@@ -15,7 +15,7 @@ class Table(msgspec.Struct, frozen=True):
 
     def markdown(self) -> str:
         """Aligned, so that it reads in a terminal too."""
-        lines = [self.columns, *self.rows]
+        lines = [self.columns, *(self.rows or [("none", *[""] * (len(self.columns) - 1))])]
         widths = [max(len(line[k]) for line in lines) for k in range(len(self.columns))]
         text = ["| " + " | ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)) + " |" for line in lines]
         text.insert(1, "|" + "|".join("-" * (w + 2) for w in widths) + "|")

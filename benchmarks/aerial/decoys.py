@@ -1,8 +1,8 @@
 """Images over maps that do not show their place, as in flight: `python -m benchmarks.aerial.decoys [--resume]`.
 
 None of these images and maps chose a threshold. The map is turned by a quarter, mirrored, 150 to 300 m off, or of another place.
-*Oblique*: views 45 degrees ahead, rendered. Whatever is accepted is wrong, but for the distance from a street that is seen far
-along it. Of n images without a false fix the false share is below 3 / n (95 %). Results: out/registration/decoys.jsonl.
+Whatever is accepted is wrong, but for the distance from a street that is seen far along it. Of n images without a false fix the
+false share is below 3 / n (95 %). Results: out/registration/decoys.jsonl.
 """
 
 import argparse
@@ -26,7 +26,6 @@ from benchmarks.aerial.registration_sets import (
     Scene,
     brighton_scene,
     learned_models,
-    nust_oblique,
     nust_scene,
     shots,
     turned,
@@ -45,8 +44,7 @@ from vision.records.reports import INSIDE_9999
 OUT = Path(__file__).resolve().parents[2] / "out" / "registration"
 SEED = 1000  # of the priors
 VILLAGES = tuple(f"village {seed}" for seed in range(100, 102))
-_OBLIQUE, _OBLIQUE_VIEWS = " oblique", 117
-SETS = ("NUST +5", "NUST +10", "Brighton", *VILLAGES, "NUST oblique")
+SETS = ("NUST +5", "NUST +10", "Brighton", *VILLAGES)
 OWN = ("quarter", "three quarters", "mirrored", "away")
 _AWAY_M = (150.0, 300.0)  # beyond what features search by this prior
 _NOT_SEARCHED = frozenset({"no_ground", "outside", "prior_too_wide"})
@@ -88,7 +86,7 @@ def jobs() -> Iterator[Job]:
         for known in OWN:
             yield images, known
     for images in SETS:
-        for place in ("NUST", *(() if images.endswith(_OBLIQUE) else VILLAGES)):
+        for place in ("NUST", *VILLAGES):
             if place not in images:
                 yield images, place
 
@@ -122,8 +120,6 @@ def _models() -> Learned | None:
 @lru_cache(maxsize=2)
 def scenes(images: str) -> tuple[Scene, ...]:
     """Of one name: a flight, or a village on three days."""
-    if images == "NUST oblique":
-        return (nust_oblique(data_folder(), _OBLIQUE_VIEWS, SEED),)
     if images.startswith("NUST"):
         return (nust_scene(data_folder(), int(images.split("+")[1])),)
     if images == "Brighton":
@@ -166,16 +162,12 @@ def _moved_to(scene: Scene, place: GroundImage, key: tuple[int, str, int]) -> Ma
 def table(results: dict[Job, Counts]) -> Table:
     """One row for each kind of images and of map."""
     rows = []
-    kinds = dict.fromkeys((_set(images), _kind(known)) for images, known in results)
+    kinds = dict.fromkeys((images.split()[0], _kind(known)) for images, known in results)
     for images, known in kinds:
-        of = [t for (i, k), t in results.items() if (_set(i), _kind(k)) == (images, known)]
+        of = [t for (i, k), t in results.items() if (i.split()[0], _kind(k)) == (images, known)]
         rows.append((images, known, *_counts(of)))
     rows.append(("all", "", *_counts(list(results.values()))))
     return Table("Decoys", ("images", "map", "images seen", "searched", "accepted", "share below (95 %)"), rows)
-
-
-def _set(images: str) -> str:
-    return images.split(maxsplit=1)[0] + (_OBLIQUE if images.endswith(_OBLIQUE) else "")
 
 
 def _kind(known: str) -> str:

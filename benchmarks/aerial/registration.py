@@ -1,4 +1,4 @@
-"""Position from maps that hold an image: `python -m benchmarks.aerial.registration [nust] [brighton] [rendered] [oblique]`.
+"""Position from maps that hold an image: `python -m benchmarks.aerial.registration [nust] [brighton] [rendered]`.
 
 All as in flight, with learned matching and without, and one by one: SIFT + FLANN, the search's peak without its checks, learned
 matching. Judged: the ground in the image's middle, by fix and prior; a fix of one direction along that alone. Wrong maps:
@@ -36,7 +36,7 @@ from vision.recognisers import Recognisers
 from vision.records.reports import pose_flaw
 
 OUT = Path(__file__).resolve().parents[2] / "out" / "registration"
-SETS = ("nust", "brighton", "rendered", "oblique")
+SETS = ("nust", "brighton", "rendered")
 Way = Literal["as in flight", "with learned", "learned", "features", "Sobel + correlation"]
 WAYS: tuple[Way, ...] = get_args(Way)
 _ANY_PEAK = PeakConfig(ratio=1.0, correlation=0.0, deviations=0.0)

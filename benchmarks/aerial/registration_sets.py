@@ -1,7 +1,4 @@
-"""Sets for registration: a video, photos, rendered ground.
-
-Oblique views, 45 degrees ahead, are rendered from the video's ground, without relief.
-"""
+"""Sets for registration: a video, photos, rendered ground."""
 
 import math
 import shutil
@@ -36,11 +33,6 @@ _FRAME_NS = 33_366_700
 _ORTHO_M, _ORTHO_PX, _ORTHO_FROM_M = 0.3, 1000, 5000.0  # of rendered ground: nearly straight from above
 SAME_DAY, OTHER_SUN = "rendered, the same day", "rendered, sun from the other side"
 OTHER_SEASON = "rendered, another season"
-OBLIQUE = CameraModel(640, 480, 554.0, 554.0, 319.5, 239.5)
-_AHEAD_RAD, _OBLIQUE_M, _STEP_M, _RUN = math.radians(45.0), (50.0, 90.0), 35.0, 3  # heights; views of a run, so far apart
-_FRAMES, _FINER = 30, 2  # every so many frames of the video lie on points so much finer than the orthophoto's
-_OBLIQUE_VIEWS, _APART_NS = 60, 11_000_000_000  # so that no prior has to do with the one before
-_COVERED = 0.97  # of a view, at least
 _OVERCAST = Sun(0.0, math.radians(60.0), 0.85)
 
 
@@ -92,9 +84,6 @@ def flights(name: str, data: Path, seed: int, out: Path) -> Iterator[Flight]:
         yield from _nust(data, seed)
     elif name == "brighton":
         yield from _brighton(data, seed, out)
-    elif name == "oblique":
-        scene = nust_oblique(data, _OBLIQUE_VIEWS, seed)
-        yield Flight("NUST at 45 degrees, off by up to 30 m", scene.rig, scene.known, shots(scene, NEAR, (seed, "oblique", 0)))
     else:
         for number in range(3):
             for group, scene in village(10 * seed + number).items():
@@ -106,69 +95,6 @@ def _nust(data: Path, seed: int) -> Iterator[Flight]:
     scene = nust_scene(data, 0)
     yield Flight("NUST, prior off by up to 30 m", scene.rig, scene.known, shots(scene, NEAR, (seed, "nust", 0)))
     yield Flight("NUST, prior off by up to 100 m", scene.rig, scene.known, shots(scene, WIDE, (seed, "nust", 1)))
-
-
-def nust_oblique(data: Path, number: int, seed: int) -> Scene:
-    """So many views of the video's ground, over the orthophoto."""
-    scene = nust_scene(data, -1)
-    return oblique(_mosaic(data, scene.known.image), scene.known, number, seed)
-
-
-def _mosaic(data: Path, over: GroundImage) -> GroundImage:
-    """Frames of the video on the orthophoto's grid, finer; the earlier ones lie above."""
-    finer = np.array([[_FINER, 0.0, 0.5 * (_FINER - 1)], [0.0, _FINER, 0.5 * (_FINER - 1)], [0.0, 0.0, 1.0]])
-    registered = nust.registrations(data)
-    size = _FINER * over.image.shape[1], _FINER * over.image.shape[0]
-    whole, free = np.zeros((*size[::-1], 3), dtype=np.uint8), np.ones(size[::-1], dtype=np.uint8)
-    for number, frame in nust.frames(data, [n for n in registered if n % _FRAMES == 0]):
-        H = finer @ registered[number]
-        inside = cv2.erode(cv2.warpPerspective(np.ones(frame.shape[:2], np.uint8), H, size), np.ones((5, 5)))
-        cv2.copyTo(cv2.warpPerspective(frame, H, size), inside * free, whole)
-        free[inside > 0] = 0
-    return replace(over, image=whole, affine=over.affine @ np.linalg.inv(finer))
-
-
-def oblique(ground: GroundImage, known: MapImage, number: int, seed: int) -> Scene:
-    """Runs of three views 45 degrees ahead of level ground whose image is black where it is not known; light and noise differ."""
-    rng, rig = np.random.default_rng(seed), nadir_rig(OBLIQUE)
-    there = np.asarray(ground.image.any(axis=2), dtype=np.uint8)
-    px, taken = np.argwhere(there)[:, ::-1], list[Taken]()
-    while len(taken) < number:
-        middle = ground.affine @ np.append(px[rng.integers(len(px))], 1.0)
-        yaw, up = rng.uniform(-math.pi, math.pi), rng.uniform(*_OBLIQUE_M)
-        ahead = np.array([math.cos(yaw), math.sin(yaw), 0.0])
-        R_nb = so3.matrix(so3.from_euler(rng.normal(0.0, 0.03), _AHEAD_RAD + rng.normal(0.0, 0.03), yaw))
-        first = np.append(middle, float(ground.heights.at(middle[None])[0]) - up) - up * math.tan(_AHEAD_RAD) * ahead
-        poses = [(first + k * _STEP_M * ahead, R_nb) for k in range(_RUN)]
-        if all(_covered(there, ground, rig, pose) > _COVERED for pose in poses):
-            light = cv2.resize(rng.normal(0.0, 0.15, (4, 5)), (OBLIQUE.width, OBLIQUE.height), interpolation=cv2.INTER_CUBIC)
-            for pose in poses:
-                image = 255.0 * (drawn_view(ground.image, ground, rig, pose) / 255.0) ** 1.2 * (1.0 + light[..., None])
-                image = np.clip(image + rng.normal(0.0, 4.0, image.shape), 0.0, 255.0).astype(np.uint8)
-                taken.append(Taken(len(taken) * _APART_NS, image, *pose, nust.REFERENCE_M))
-    return Scene(rig, known, taken)
-
-
-def _covered(there: Image, ground: GroundImage, rig: StereoRig, pose: tuple[Array, Array]) -> float:
-    """Share of a view, by a raster of its pixels, that the ground's image shows."""
-    p_nc, R_nc = rig.camera_pose(*pose)
-    u, v = np.meshgrid(np.linspace(0.0, rig.left.width - 1.0, 13), np.linspace(0.0, rig.left.height - 1.0, 9))
-    rays = rig.left.ray(np.column_stack((u.ravel(), v.ravel()))) @ R_nc.T
-    reach = (float(ground.heights.at(p_nc[None, :2])[0]) - p_nc[2]) / rays[:, 2]
-    at = np.rint(ground.to_pixels(p_nc[:2] + rays[:, :2] * reach[:, None])).astype(int)
-    inside = (rays[:, 2] > 0.0) & np.all((at >= 0) & (at < there.shape[::-1]), axis=1)
-    return float(there[at[inside, 1], at[inside, 0]].sum()) / len(at)
-
-
-def drawn_view(image: Image, ground: GroundImage, rig: StereoRig, pose: tuple[Array, Array]) -> Array:
-    """An image on the ground's plane as the camera sees it: drawn twice as fine, then averaged."""
-    p_nc, R_nc = rig.camera_pose(*pose)
-    down = float(ground.heights.at(p_nc[None, :2])[0])
-    plane = np.column_stack((np.eye(3)[:, :2], np.array([0.0, 0.0, down]) - p_nc)) @ np.vstack((ground.affine, [0.0, 0.0, 1.0]))
-    twice = np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5], [0.0, 0.0, 1.0]])
-    size = 2 * rig.left.width, 2 * rig.left.height
-    fine = cv2.warpPerspective(image, twice @ rig.left.matrix @ R_nc.T @ plane, size)
-    return np.asarray(cv2.resize(fine, (rig.left.width, rig.left.height), interpolation=cv2.INTER_AREA), dtype=np.float64)
 
 
 def nust_file(data: Path) -> ImageFile:

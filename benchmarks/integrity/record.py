@@ -1,6 +1,6 @@
 """What the campaign has counted so far, one line a job, in docs/integrity_runs.csv: added to by every run, no job twice.
 
-A job is a flight or frames with its seed, so the same one on another machine is no new evidence. The line of a job that was run
+A job is a flight with its seed, so the same one on another machine is no new evidence. The line of a job that was run
 again replaces the one before; the commit that changed the line names the code that it was run with.
 """
 
@@ -15,7 +15,7 @@ from benchmarks.flights.tasks import ROOT
 from benchmarks.integrity.rows import Row
 
 RECORD: Final = ROOT / "docs" / "integrity_runs.csv"
-_OTHERS: Final = ("group", "flight", "kind", "size", "seed", "hours", "hazards", "worst", "fixes", "wrong", "mistaken")
+_OTHERS: Final = ("group", "flight", "kind", "size", "seed", "hours", "hazards", "worst")
 _EVENTS: Final = ("above_1e-3", "above_1e-5", "above_1e-7")
 COLUMNS: Final = (*_OTHERS, *_EVENTS)
 _JOB: Final = 5  # columns that name it

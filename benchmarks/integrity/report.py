@@ -44,22 +44,11 @@ def summary(rows: Sequence[Row]) -> str:
         shown = "; ".join(f"{r:g}: {n} (95 %: at most {m:.2g} per hour)" for r, n, m in zip(RISKS, events, most, strict=True))
         lines.append(f"{title}: {hours:.2f} h, {len(flown)} flights; events of error > PL at {shown}")
         lines.append(f"{title}: error > limit while usable: {hazards} evaluations")
-    for group, said in (("looks", "frames"), ("images", "rendered pairs")):
-        some = [r for r in rows if r.group == group]
-        fixes, wrong = sum(r.fixes for r in some), sum(r.wrong for r in some)
-        if not fixes:
-            continue
-        frames, mistaken = sum(round(r.size) for r in some), sum(r.mistaken for r in some)
-        counts = (
-            f"{n} {what} (95 %: at most {bound(n, fixes):.2g} of the fixes)"
-            for n, what in ((wrong, "wrong"), (mistaken, "by a wrong identity"))
-        )
-        lines.append(f"identification: {frames} {said}, {fixes} fixes, {', '.join(counts)}")
     return "\n".join(f"- {line}" for line in lines) + "\n"
 
 
 def group_of(row: Row) -> str:
-    """Under which it is counted and drawn; "" of identification."""
+    """Under which it is counted and drawn, if any."""
     if row.group in {"village", "rendered"}:
         return {"village": "villages", "rendered": "rendered flights"}[row.group]
     if row.group == "real":

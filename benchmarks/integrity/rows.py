@@ -24,7 +24,7 @@ class Row(msgspec.Struct, frozen=True):
     the alert limit while the state is usable; alerts_s, stops_s: from the error passing the limit to a state other than usable,
     and to "do not use" (None: not before it came back); false_alerts: times that it ceases to be usable while the error stays
     within the limit; misled: events at 1e-5 while the state is usable; worst: largest error / level at 1e-5; cells: error, level
-    (in STEP decades), how many; fixes, wrong: of the identification frames; mistaken: those by a wrong identity.
+    (in STEP decades), how many.
     """
 
     group: str
@@ -44,9 +44,6 @@ class Row(msgspec.Struct, frozen=True):
     misled: int = 0
     worst: float = 0.0
     cells: tuple[tuple[int, int, int], ...] = ()
-    fixes: int = 0
-    wrong: int = 0
-    mistaken: int = 0
 
 
 def row_of(levels: list[Integrity], t_ns: Times, error: Array) -> Row:
