@@ -214,9 +214,9 @@ class Eskf:
 
     def update(self, seen: Innovation) -> None:
         """Fuse a gated measurement."""
-        dx = corrected(self.cov, seen.nu, seen.h, seen.noise, self.slow.estimated)
-        self.slow = self.slow.moved(dx[E.SIZE :])
-        self.sound = inject(self.x, self.cov, dx)
+        columns, tau_s, psd, mean, estimated = self.slow
+        mean, self.sound = fused(self.x, self.cov, seen.nu, seen.h, seen.noise, mean, estimated)
+        self.slow = SlowErrors(columns, tau_s, psd, mean, estimated)
         for block in self.clones:
             self._correct_pose(block)
 
@@ -321,6 +321,13 @@ def corrected(cov: Array, nu: Array, h: Array, noise: Array, estimated: Array) -
                 cov[j, k] -= left[i, j] * gain[i, k]
     cholesky.symmetrise(cov)
     return dx
+
+
+@njit(cache=True, error_model="numpy")
+def fused(x: Array, cov: Array, nu: Array, h: Array, noise: Array, mean: Array, estimated: Array) -> tuple[Array, bool]:
+    """`corrected` and `inject`: a reading into x and P; the slow errors after it (n - 15,), and whether all is sound."""
+    dx = corrected(cov, nu, h, noise, estimated)
+    return mean + estimated * dx[_N:], inject(x, cov, dx)
 
 
 @njit(cache=True, error_model="numpy")

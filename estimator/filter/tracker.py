@@ -589,7 +589,7 @@ class Tracker:
     def _vouched(self, aid: Aid) -> bool:
         """Whether another source gave positions lately, or since a receiver's speed has stepped: an IMU's error grows."""
         others, step = self.core.absolute - {aid.topic}, self.speed_steps.get(aid.topic)
-        within_ns = _PULLED_NS if step is not None and step.net.any() else RECENT_NS
+        within_ns = _PULLED_NS if step is not None and step.is_open else RECENT_NS
         return any(aid.t_ns - self.sources.get(topic, _UNKNOWN).fused_ns < within_ns for topic in others)
 
     def _note_absolute(self, aid: Aid, z: Measurement) -> None:

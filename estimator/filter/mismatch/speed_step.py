@@ -68,7 +68,7 @@ class SpeedStep(NamedTuple):
         net, in_a_row = self.net + step, self.in_a_row + 1
         if math.hypot(*net.tolist()) < _LEAST_M_S or in_a_row >= _OF_IMU:
             return self.ended._replace(in_a_row=in_a_row)
-        since_ns = self.since_ns if self.net.any() else self.t_ns
+        since_ns = self.since_ns if self.is_open else self.t_ns
         return self._replace(net=net, since_ns=since_ns, in_a_row=in_a_row, before=self.before or (self.t_ns, self.x))
 
     def confirmed(self, nu: Array) -> "SpeedStep":
@@ -77,6 +77,11 @@ class SpeedStep(NamedTuple):
         if size < max(_LEAST_M_S, _CONFIRMED * math.hypot(*self.net.tolist())):
             return self.ended
         return self._replace(net=nu, before=None)
+
+    @property
+    def is_open(self) -> bool:
+        """A step has not ended."""
+        return self.net is not _NOTHING
 
     @property
     def ended(self) -> "SpeedStep":
@@ -116,7 +121,7 @@ def noted(
         before = before.after(aid.t_ns, z.evaluate(moved, gyro_b)[0], moved, variance)
         if before.before is not None and aid.t_ns - before.before[0] >= _CONFIRMED_NS:
             before = before.confirmed(z.evaluate(_moved(*before.before, aid.t_ns, samples, lead), gyro_b)[0])
-    followed = before.followed or (fused and bool(before.net.any()))
+    followed = before.followed or (fused and before.is_open)
     now = before._replace(t_ns=aid.t_ns, x=x, nu=nu, variance=variance, agrees=fused, followed=followed)
     return {**steps, aid.witness: now}
 
@@ -134,10 +139,10 @@ def _moved(from_ns: int, x: Array, to_ns: int, samples: ImuBuffer, lead: Hypothe
 
 def positioned(steps: Steps, aid: Aid) -> Steps:
     """A position has been fused: its own receiver is followed; by another source those that agree are cleared."""
-    if not any(step.net.any() for step in steps.values()):
+    if not any(step.is_open for step in steps.values()):
         return steps
     if aid.geodetic:
-        return {topic: s._replace(followed=bool(s.net.any())) if topic == aid.topic else s for topic, s in steps.items()}
+        return {topic: s._replace(followed=s.is_open) if topic == aid.topic else s for topic, s in steps.items()}
     return {topic: s.ended if s.agrees else s._replace(since_ns=aid.t_ns) for topic, s in steps.items()}
 
 

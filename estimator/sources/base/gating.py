@@ -18,5 +18,7 @@ def cusum(sums: tuple[float, ...], nu: Array, sigma: Array, slack: float) -> tup
     """
     if len(sums) != 2 * len(nu):
         sums = (0.0,) * (2 * len(nu))
-    steps = [sign * (n / s) - slack for n, s in zip(nu.tolist(), sigma.tolist(), strict=True) for sign in (1.0, -1.0)]
-    return tuple([max(0.0, g + step) for g, step in zip(sums, steps, strict=True)])
+    found: list[float] = []
+    for k, (n, s) in enumerate(zip(nu.tolist(), sigma.tolist(), strict=True)):
+        found += max(0.0, sums[2 * k] + (n / s - slack)), max(0.0, sums[2 * k + 1] + (-n / s - slack))
+    return tuple(found)
