@@ -299,9 +299,7 @@ def corrected(cov: Array, nu: Array, h: Array, noise: Array, estimated: Array) -
         raise np.linalg.LinAlgError("not positive definite")
     cholesky.forward(s, gain)
     cholesky.backward(s, gain)
-    for j in range(_N, n):
-        if estimated[j - _N] == 0.0:
-            gain[:, j] = 0.0
+    gain[:, _N:] *= estimated
     for i in range(m):
         for j in range(n):
             dx[j] += gain[i, j] * nu[i]

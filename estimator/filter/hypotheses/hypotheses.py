@@ -132,8 +132,8 @@ class Hypotheses:
         for member in self.members:
             if member.doubts_imu:  # nothing shows its attitude until the IMU is right again
                 member.filter.limit_attitude()
-        seen = [innovation(m.filter, aid, z, gyro_b) for m in self.members]
-        as_it_came = seen[0]
+        as_it_came = innovation(self.members[0].filter, aid, z, gyro_b)
+        seen = [as_it_came, *(self._seen(m, aid, z, gyro_b, as_it_came) for m in self.members[1:])]
         if not trusted:
             return Verdict(as_it_came, as_it_came, limit, as_it_came.distance2 <= limit, fused=False)
         whole = [s.distance2 <= limit for s in seen]
@@ -181,6 +181,12 @@ class Hypotheses:
             self.members[0].without, wrong, self.sensed = "", self.sensed, wrong
         limit = gate(aid.rules.gate_probability, len(seen[0].nu))
         return Verdict(as_it_came, seen[0], limit, passed[0], fused[0], wrong)
+
+    def _seen(self, member: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, by_lead: Innovation) -> Innovation:
+        """The leading one's where it is not asked: it leaves the receiver out, of whose readings none was false."""
+        if member.without == aid.witness and (aid.absolute or not any(aid.topic in m.doubts for m in self.members)):
+            return by_lead
+        return innovation(member.filter, aid, z, gyro_b)
 
     def _is_predicted(self, aid: Aid, passed: list[bool]) -> bool:
         return passed[0] or any(p and aid.topic not in m.doubts for p, m in zip(passed, self.members, strict=True))
