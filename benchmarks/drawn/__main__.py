@@ -20,7 +20,7 @@ import msgspec
 from benchmarks.drawn import lockout
 from benchmarks.drawn.alerts import alerts, in_time_or_covered, table
 from benchmarks.drawn.flights import fly, program
-from benchmarks.drawn.rates import Flown, Rate, rates
+from benchmarks.drawn.rates import AIDS, Flown, Rate, rates
 from benchmarks.flights.tasks import ROOT
 from benchmarks.jobs import results_in, run_jobs
 from benchmarks.tables import Table
@@ -88,7 +88,7 @@ def report(done: Sequence[Flown]) -> str:
 
 def _rate(found: Rate) -> str:
     lines = [
-        f"sources {found.aids}: {found.flights} flights, {found.hours:.2f} h, effective sample size {found.ess:.1f}",
+        f"{AIDS[found.aids]}: {found.flights} flights, {found.hours:.2f} h, effective sample size {found.ess:.1f}",
         f"error > PL(1e-5) while usable: {found.per_hour:.2g} +- {found.error:.2g} per hour, weighted",
         f"at most {found.at_most:.2g} per hour (95 % a stratum), of it {found.faults_at_most:.2g} with faults that the "
         f"table bounds and {found.unbounded_at_most:.2g} with the others, were they as frequent",
@@ -98,7 +98,7 @@ def _rate(found: Rate) -> str:
         (s.name, str(s.flights), str(s.with_event), *map("{:.2g}".format, (s.nominal, s.share_at_most, s.per_hour, s.worst)))
         for s in found.strata
     ]
-    return "\n".join(f"- {line}" for line in lines) + f"\n\n{Table(f'Strata, sources {found.aids}', columns, rows).markdown()}"
+    return "\n".join(f"- {line}" for line in lines) + f"\n\n{Table(f'Strata, {AIDS[found.aids]}', columns, rows).markdown()}"
 
 
 def _locked(done: Sequence[Flown]) -> list[tuple[str, lockout.Lockout]]:
@@ -108,7 +108,7 @@ def _locked(done: Sequence[Flown]) -> list[tuple[str, lockout.Lockout]]:
 def _events(done: Sequence[Flown]) -> Table:
     rows = [
         (
-            *(str(f.seed), f.vehicle, f.aids, ", ".join(map(str, f.faults)) or "none"),
+            *(str(f.seed), f.vehicle, AIDS[f.aids], ", ".join(map(str, f.faults)) or "none"),
             *("yes" if f.is_bounded else "no", f"{f.row.worst:.3g}", f"{f.weight:.2g}"),
         )
         for f in done

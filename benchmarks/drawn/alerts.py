@@ -79,7 +79,7 @@ def table(flown: Sequence[Flown]) -> Table:
     (good, faults), (others, unbounded) = map(in_time_or_covered, parts)
     rows = [
         (
-            a.kind, a.aids, str(a.flights), str(a.passed), str(a.alerted), str(a.covered),
+            a.kind, AIDS[a.aids], str(a.flights), str(a.passed), str(a.alerted), str(a.covered),
             "-" if a.caution_s is None else f"{a.caution_s:.1f}", f"{100.0 * a.available:.1f}", f"{a.false_per_hour:.1f}",
         )
         for a in alerts(flown)

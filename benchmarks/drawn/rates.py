@@ -20,7 +20,7 @@ from benchmarks.integrity.report import bound
 from benchmarks.integrity.rows import Row
 
 NONE, SEVERAL, UNBOUNDED = "no fault", "several faults", ", not bounded"
-AIDS: Final = ("fixes", "both")
+AIDS: Final = {"fixes": "fixes alone", "both": "GNSS and fixes"}
 
 
 class Flown(msgspec.Struct, frozen=True):

@@ -68,7 +68,7 @@ def write(folder: Path, hours: float, jobs: int | None = 1, scheduler: str = "",
 def _panels(flown: Sequence[Flown]) -> dict[str, list[Any]]:
     parts = {
         f"{said}, {sources}": [f.row for f in flown if f.aids == aids and bool(f.faults) is faulty and f.is_bounded is bounded]
-        for aids, sources in zip(AIDS, ("fixes alone", "GNSS and fixes"), strict=True)
+        for aids, sources in AIDS.items()
         for said, faulty, bounded in (("no fault", False, True), ("in the table", True, True), ("beyond it", True, False))
     }
     return {name: rows for name, rows in parts.items() if any(r.cells for r in rows)}
@@ -77,7 +77,7 @@ def _panels(flown: Sequence[Flown]) -> dict[str, list[Any]]:
 def document(flown: Sequence[Flown], campaign: str, hours: float) -> str:
     """The pack as one page of Markdown."""
     page = _PAGE.read_text(encoding="utf-8").splitlines()
-    beyond = sorted({f"{' and '.join(x.kind for x in f.faults) or NONE} (sources {f.aids})" for f in flown if f.has_event})
+    beyond = sorted({f"{' and '.join(x.kind for x in f.faults) or NONE} ({AIDS[f.aids]})" for f in flown if f.has_event})
     causes = [(kind, k.cause, f"{RATES[k.cause]:g}", f"{k.sizes[0]:g} to {k.sizes[1]:g} {k.unit}") for kind, k in KINDS.items()]
     traced = [(r.name, r.text, ", ".join(r.tests), r.result or "the tests") for r in REQUIREMENTS]
     return "\n".join((

@@ -25,7 +25,7 @@ def test_what_exceeds_the_level_stands_in_the_first_paragraph() -> None:
     fault = Fault("map north", 10.0, 5.0, 60.0)
     some = [flown(0, (), 2.5, 0), flown(1, (fault,), 1e-5, 1)]
     text = document(some, "- the campaign", 0.1)
-    assert "**Not covered**: map north (sources both); kinds that were not drawn" in text
+    assert "**Not covered**: map north (GNSS and fixes); kinds that were not drawn" in text
     assert text.index("Not covered") < text.index("## Assumptions")
     assert "map north 10 deg from 5 to 60 s" in text
     assert "PL-3" in text
