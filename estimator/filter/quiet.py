@@ -37,9 +37,10 @@ class Quiet:
         weights += [0.0] * (len(members) - len(bank.members))  # of those without the sensor of the heading
         self._is_whole, factor, root = tracker.shows_mixture, bank.lead.variance_factor, 0.0
         ratio, self._filters = tracker.lasting_ratio if self._is_whole else 1.0, list[tuple[Eskf, Array]]()
-        for member, share in zip(members, weights, strict=True):
-            factors = (factor, ratio) if member is members[-1] else _NO_FACTORS
-            self._filters.append((member.filter, np.array((*tracker.limits, share, root, *factors))))
+        shown = [(m.filter, share) for m, share in zip(members, weights, strict=True) if share or not self._is_whole]
+        for eskf, share in shown:  # the others follow when they are asked: Tracker.propagate
+            factors = (factor, ratio) if eskf is shown[-1][0] else _NO_FACTORS
+            self._filters.append((eskf, np.array((*tracker.limits, share, root, *factors))))
             root = math.sqrt(factor)
         added = tracker.added if self._is_whole else None
         self._added = _NOTHING if added is None else added

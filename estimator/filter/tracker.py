@@ -272,10 +272,9 @@ class Tracker:
         core = self.core
         if to_ns - core.t_ns > _LOST_NS:
             self.alignment.lose()
-        if core.t_ns < to_ns and (members := self.alignment.members):
-            index = samples.first_after(core.t_ns)
-            for member in members:
-                member.filter.propagate(samples, index, to_ns)
+        for member in self.alignment.members:
+            if (since_ns := member.filter.t_ns) < to_ns:  # longer ago for one that does not show (Quiet)
+                member.filter.propagate(samples, samples.first_after(since_ns), to_ns)
         core.t_ns = to_ns
 
     def mode(self, newest_imu_ns: int, t_ns: int) -> Mode:
