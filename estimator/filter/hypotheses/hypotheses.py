@@ -197,6 +197,8 @@ class Hypotheses:
         born: receives those without the measurement.
         """
         aid, fused = e.aid, [False] * len(e.seen)
+        if len(fused) == 1 and not self.members[0].omits(aid):  # most of the time
+            return [self._answer(0, e, born, lead_refuses=False)]
 
         def answer(k: int) -> float:
             member, before = self.members[k], self.members[k].weight

@@ -42,7 +42,7 @@ class Scatter(NamedTuple):
     @property
     def factor(self) -> float:
         """The largest."""
-        return max(self.factors, default=1.0)
+        return max(self.factors) if self.factors else 1.0
 
     def widened(self, noise: Array) -> Array:
         """R (m, m) of a reading as it scatters."""

@@ -32,6 +32,7 @@ _SIGMAS = 6.0
 _FEWEST = 3  # readings
 _APART = np.eye(3) / 3.0**2  # m^-2: information on the difference of two sources' positions, MAP_M of the faults
 _PROBE = 1e-4  # s0, s or rad: less than the motion of any vehicle shows
+_CONSIDERED = np.array([[_PROBE**2]])
 _XYZ, _TINY = 3, 1e-12
 _NOTHING = np.zeros((0, 5))
 
@@ -139,8 +140,8 @@ def carried(
                 begin(c, member.filter, aid.witness, u)
                 if known is not None:
                     estimate(c, member.filter, aid.witness, known)
-        covariance, walk = (c.sigma**2, np.array([c.walk])) if is_state else (_PROBE**2, None)
-        errors.append(SlowError(block, np.array([[covariance]]), math.inf, j[:, None], walk, starts_at_zero=True))
+        covariance, walk = (np.array([[c.sigma**2]]), np.array([c.walk])) if is_state else (_CONSIDERED, None)
+        errors.append(SlowError(block, covariance, math.inf, j[:, None], walk, starts_at_zero=True))
     return replace(aid, slow_errors=tuple(errors))
 
 
@@ -191,7 +192,7 @@ def begin(c: Constant, eskf: Eskf, topic: str, u: Array) -> None:
     """Note c of the only source of an alignment, unless it is known."""
     if c.block(topic) in eskf.slow.columns:
         return
-    eskf.consider(c.block(topic), np.array([[_PROBE**2]]), math.inf)
+    eskf.consider(c.block(topic), _CONSIDERED, math.inf)
     v = np.zeros(len(eskf.cov))
     v[: E.SIZE] = c.follows(eskf.x, u)
     v[-1] = 1.0
