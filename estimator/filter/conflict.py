@@ -5,7 +5,7 @@
 
 d (3,) [m]: to the source's position, of covariance S (3, 3); n, m: sources nearer to it and to the estimate, n also the IMU where
 it contradicts the estimate, m where the source has jumped; w_0: share of conflicts by a wrong map; d_0 [m]: its errors. One
-receiver does not outweigh fixes.
+receiver does not outweigh fixes, unless its path is that of the estimate, turned and scaled: a wrong map.
 """
 
 import math
@@ -17,6 +17,7 @@ import numpy as np
 from estimator.sources.base.aid import Aid
 from estimator.sources.base.faults import MAP_ELSEWHERE, MAP_ELSEWHERE_M
 from estimator.sources.base.gating import gate
+from estimator.sources.base.similarity import Similarity
 from models.measurements import Measurement, Pose, Position
 from models.messages import Array
 
@@ -81,12 +82,13 @@ class Apart(NamedTuple):
 
 
 class Offset(NamedTuple):
-    """Newest position of a source, off (3,) [m] from the estimate, of variance (trace) [m^2]."""
+    """Newest position of a source, off (3,) [m] from the estimate, of variance (trace) [m^2]; path: of a receiver."""
 
     t_ns: int
     off: Array
     variance: float
     is_receiver: bool
+    path: Similarity = Similarity()
 
 
 class Conflicts(NamedTuple):
@@ -105,7 +107,11 @@ class Conflicts(NamedTuple):
         if not (isinstance(z, Position | Pose) and len(z.z_n) == len(z.rows[:_XYZ])):
             return self.without(aid.topic)
         off, s = z.z_n - position_n, z.noise[:_XYZ, :_XYZ]
-        newest = {**self.newest, aid.topic: Offset(aid.t_ns, off, sum(s.diagonal().tolist()), aid.geodetic is not None)}
+        last = self.newest.get(aid.topic)
+        path = last.path if last is not None else Similarity()
+        if is_receiver := aid.geodetic is not None:
+            path = path.also(aid.t_ns * 1e-9, complex(*position_n[:2].tolist()), complex(*z.z_n[:2].tolist()))
+        newest = {**self.newest, aid.topic: Offset(aid.t_ns, off, sum(s.diagonal().tolist()), is_receiver, path)}
         here = Conflicts(self.apart, self.contrary_ns, newest)
         if disagrees or (lingers and before):
             s = s + sum(error.covariance for error in aid.slow_errors if len(error.covariance) == _XYZ)
@@ -113,7 +119,7 @@ class Conflicts(NamedTuple):
             now = Apart(aid.t_ns, aid.t_ns, off, s, 0, False)
             if before is not None:
                 now = now._replace(since_ns=before.since_ns, steady=before.steady + 1 if is_steady else 0, jumped=before.jumped)
-            elif (last := self.newest.get(aid.topic)) is not None and aid.t_ns - last.t_ns < RECENT_NS:
+            elif last is not None and aid.t_ns - last.t_ns < RECENT_NS:
                 now = now._replace(jumped=now.distance2 > _JUMPS)
             if disagrees or not now.is_near:
                 return here._replace(apart={**self.apart, aid.topic: now})
@@ -144,6 +150,7 @@ class Conflicts(NamedTuple):
             nearer, by = self._votes(topic, apart, 1.0)
             n, m = 1 + nearer + doubts_imu, len(by) + apart.jumped
             is_outweighed = self.newest[topic].is_receiver and not (by and all(self.newest[t].is_receiver for t in by))
+            is_outweighed &= not self.newest[topic].path.is_turned
             is_alone = n == 1 and (is_outweighed or not apart.agrees)
             if n >= m and not is_alone:
                 found[topic] = n / (n + m)

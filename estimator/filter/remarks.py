@@ -1,15 +1,17 @@
 """Why an estimate is less certain than configured, a sentence each."""
 
+import cmath
 import math
 from collections.abc import Container, Iterable, Mapping
 
 import numpy as np
 
-from estimator.filter.conflict import RECENT_NS, Apart
+from estimator.filter.conflict import RECENT_NS, Conflicts
 from estimator.filter.hypotheses import Hypotheses
 from estimator.filter.mismatch import CONSTANTS, Frame, Jamming, Scatter, Scores, score
 from estimator.filter.relative import drift
 from estimator.sources.base.machine import SourceState
+from estimator.sources.base.similarity import Similarity
 from estimator.sources.odometry import DRIFT, WRONG, drift_block
 
 _NEW_NS = 1_000_000_000
@@ -37,14 +39,22 @@ def turned(hypotheses: Hypotheses | None) -> list[str]:
     ]
 
 
-def apart(found: Mapping[str, Apart], undecided: Container[str]) -> list[str]:
+def apart(found: Conflicts, undecided: Container[str]) -> list[str]:
     """Rejected sources and their distances; undecided: against which nothing decides."""
     return [
         f"{topic} is {np.linalg.norm(a.off):.1f} m from the estimate for {(a.last_ns - a.since_ns) * 1e-9:.0f} s: not used"
         + (_COVERED if topic in undecided else _ALLOWED if a.may_be_right else "")
-        for topic, a in sorted(found.items())
+        + _likeness(found.newest[topic].path)
+        for topic, a in sorted(found.apart.items())
         if a.lasts
     ]
+
+
+def _likeness(path: Similarity) -> str:
+    if not path.is_turned:
+        return ""
+    turn_deg, times = math.degrees(cmath.phase(path.a)), abs(path.a)
+    return f"; its path is that of the estimate, turned by {turn_deg:.1f} deg, times {times:.3f}: the map's north, or its scale?"
 
 
 def frames(known: Mapping[str, Frame]) -> list[str]:

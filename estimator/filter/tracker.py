@@ -241,7 +241,7 @@ class Tracker:
         return [
             *([remarks.two_headings(two)] if two is not None and undecided else ()),
             *filter(None, (self._conflict(), remarks.heading(beside.topic) if beside is not None else "")),
-            *(remarks.apart(core.conflicts.apart, self._undecided) if core.is_aligned and not self._conflict() else ()),
+            *(remarks.apart(core.conflicts, self._undecided) if core.is_aligned and not self._conflict() else ()),
             *remarks.turned(core.hypotheses),
             *remarks.frames(self.frames),
             *remarks.drifts(core.hypotheses),

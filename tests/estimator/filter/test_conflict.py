@@ -1,5 +1,6 @@
 """A receiver that the estimate rejects for long stays in the covariance, as far as a map may be wrong."""
 
+import cmath
 import math
 import re
 
@@ -10,12 +11,13 @@ from msgspec.structs import replace
 from estimator.filter.conflict import Apart, Conflicts
 from estimator.sources.base.aid import Aid
 from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
+from models import so3
 from models.frames import Origin
 from models.measurements import Measurement
 from models.messages import GnssFix, GnssVelocity, PoseFix
 from models.sim.scenario import EPOCH_NS
 from models.state import E
-from tests.estimator.scenes import SECOND, aid_of, fly, pose_fix, position_errors, simulated
+from tests.estimator.scenes import SECOND, aid_of, fly, pose_fix, position_errors, radii, simulated, within
 
 FLIGHT = """
 duration_s = 100.0
@@ -222,3 +224,23 @@ def test_a_receiver_that_is_hundreds_of_metres_off_does_not_widen_the_covariance
     assert max(radius) < 2.5
     assert position_errors(late, flight.truth).max() < 1.0
     assert run.health[-1].detail.endswith("s: not used")
+
+
+def test_where_a_map_is_turned_the_covariance_contains_the_receiver() -> None:
+    """By 30 degrees about its origin, positions and headings: the IMU decides nothing, and a receiver does not turn its path."""
+    flight, turn = simulated(FLIGHT, seed=3), math.radians(30.0)
+
+    def turned(m: PoseFix) -> PoseFix:
+        w, x, y, z = so3.multiply(np.array(so3.from_euler(0.0, 0.0, turn)), np.array(m.q_nb_wxyz)).tolist()
+        at = complex(*m.p_n[:2]) * cmath.exp(1j * turn)
+        return replace(m, p_n=(at.real, at.imag, m.p_n[2]), q_nb_wxyz=(w, x, y, z))
+
+    run = fly(flight, messages=[turned(m) if isinstance(m, PoseFix) else m for m in flight.messages])
+    late = within(run.estimates, 70.0, 100.0)
+    off = position_errors(late, flight.truth)
+    assert off.max() > 10.0
+    assert (off < 1.5 * radii(late)).all()
+    said = re.search(r"turned by (-?[\d.]+) deg, times ([\d.]+)", "\n".join(h.detail for h in run.health))
+    assert said is not None
+    assert float(said[1]) == pytest.approx(-30.0, abs=3.0)
+    assert float(said[2]) == pytest.approx(1.0, abs=0.05)
