@@ -39,7 +39,7 @@ def weighed(members: list[Hypothesis], aid: Aid, seen: list[Innovation], passed:
     """Evidence of a reading; vouched: another source gave positions lately."""
     if not any(m.doubts for m in members):  # most of the time
         return Evidence(aid, seen, passed, [None] * len(members), -math.inf, -math.inf)
-    again = _again(members, aid, seen, passed, again_s(members[0], aid, vouched=vouched))
+    again = _again(members, aid, seen, passed, vouched=vouched)
     doubted = max(
         (
             m.weight + by_member
@@ -49,11 +49,11 @@ def weighed(members: list[Hypothesis], aid: Aid, seen: list[Innovation], passed:
         default=-math.inf,
     )
     # A receiver is right or wrong in both: where its positions are doubted, its velocities are no evidence.
-    follow = [j for j, m in enumerate(members) if m.without != SENSORS and aid.receiver not in m.doubts]
     by_receiver = -math.inf
-    if follow and any(aid.receiver in m.doubts for m in members):
+    if aid.receiver and any(aid.receiver in m.doubts for m in members):
+        follow = [j for j, m in enumerate(members) if m.without != SENSORS and aid.receiver not in m.doubts]
         gains = [seen[j].log_likelihood if passed[j] else aid.log_false for j in follow]
-        by_receiver = _mean([members[j].weight for j in follow], gains)
+        by_receiver = _mean([members[j].weight for j in follow], gains) if follow else -math.inf
     return Evidence(aid, seen, passed, again, doubted, by_receiver)
 
 
@@ -64,16 +64,13 @@ def noisier(aid: Aid, seen: Innovation) -> float:
 
 
 def _again(
-    members: list[Hypothesis], aid: Aid, seen: list[Innovation], passed: list[bool], refused_s: float
+    members: list[Hypothesis], aid: Aid, seen: list[Innovation], passed: list[bool], *, vouched: bool
 ) -> list[float | None]:
-    """ln weight of the last false reading again; unless absolute it founds no hypothesis: who takes it for true predicts too.
-
-    refused_s: tau of a position the leading hypothesis refuses.
-    """
+    """ln weight of the last false reading again; unless absolute it founds no hypothesis: who takes it for true predicts too."""
     doubts = [m.doubts.get(aid.topic) for m in members]
     if not any(doubts):  # most of the time
         return [None] * len(doubts)
-    lasts = lasts_s(aid.kind)
+    lasts, refused_s = lasts_s(aid.kind), again_s(members[0], aid, vouched=vouched)
     fades = [
         -(aid.t_ns - doubt.last_ns) * 1e-9 / (refused_s if aid.absolute and not doubt.deliberate else lasts) if doubt else 0.0
         for doubt in doubts
