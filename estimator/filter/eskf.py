@@ -242,7 +242,7 @@ class Eskf:
     def correct(self, seen: Innovation) -> Array:
         """Fuse a measurement into P and the slow errors; the error dx (15,) of the state, which is not moved yet.
 
-        As `corrected`: filterpy updates all errors, then the considered ones are put back.
+        As `fused`: filterpy updates all errors, then the considered ones are put back.
         """
         dx, cov, _ = _kalman(len(self.cov)).update(self.cov, seen.nu, seen.h, seen.noise)
         considered = E.SIZE + np.flatnonzero(self.slow.estimated == 0.0)
@@ -287,10 +287,10 @@ def resolved(noise: Array, s: Array) -> Array:
 
 
 @njit(cache=True, error_model="numpy")
-def corrected(cov: Array, nu: Array, h: Array, noise: Array, estimated: Array) -> Array:
-    """P <- (I - K H) P (I - K H)^T + K R K^T, in place, and dx = K nu (n,); h: H (m, n), mostly zero.
+def fused(x: Array, cov: Array, nu: Array, h: Array, noise: Array, mean: Array, estimated: Array) -> tuple[Array, bool]:
+    """P <- (I - K H) P (I - K H)^T + K R K^T and x <- x (+) K nu, in place; means of the slow errors, whether all is sound.
 
-    K = P H^T S^-1, but 0 in the rows of considered slow errors: estimated (n - 15,) 0.
+    K = P H^T S^-1, but 0 in the rows of considered slow errors: estimated (n - 15,) 0; h: H (m, n), mostly zero.
     """
     (m, n), dx = h.shape, np.zeros(cov.shape[0])
     s, hp = innovation_covariance(cov, h, noise)
@@ -318,13 +318,6 @@ def corrected(cov: Array, nu: Array, h: Array, noise: Array, estimated: Array) -
             for k in range(n):
                 cov[j, k] -= left[i, j] * gain[i, k]
     cholesky.symmetrise(cov)
-    return dx
-
-
-@njit(cache=True, error_model="numpy")
-def fused(x: Array, cov: Array, nu: Array, h: Array, noise: Array, mean: Array, estimated: Array) -> tuple[Array, bool]:
-    """`corrected` and `inject`: a reading into x and P; the slow errors after it (n - 15,), and whether all is sound."""
-    dx = corrected(cov, nu, h, noise, estimated)
     return mean + estimated * dx[_N:], inject(x, cov, dx)
 
 
