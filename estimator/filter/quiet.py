@@ -29,18 +29,18 @@ class Quiet:
     __slots__ = ("_added", "_filters", "_is_whole", "left", "mode", "samples", "tracker", "until_ns")
 
     def __init__(self, tracker: Tracker, samples: ImuBuffer, left: int) -> None:
-        self.tracker, self.samples, self.left = tracker, samples, left
+        self.tracker, self.samples, self.left, self._filters = tracker, samples, left, list[tuple[Eskf, Array]]()
         bank = tracker.alignment.bank
         assert bank is not None
         self.mode, self.until_ns = tracker.mode_until(samples.newest_ns)
         members, weights = tracker.alignment.members, shares(bank.members)
         weights += [0.0] * (len(members) - len(bank.members))  # of those without the sensor of the heading
         self._is_whole, factor, root = tracker.shows_mixture, bank.lead.variance_factor, 0.0
-        ratio, self._filters = tracker.lasting_ratio if self._is_whole else 1.0, list[tuple[Eskf, Array]]()
+        ratio, limits = tracker.lasting_ratio if self._is_whole else 1.0, tracker.limits
         shown = [(m.filter, share) for m, share in zip(members, weights, strict=True) if share or not self._is_whole]
         for eskf, share in shown:  # the others follow when they are asked: Tracker.propagate
             factors = (factor, ratio) if eskf is shown[-1][0] else _NO_FACTORS
-            self._filters.append((eskf, np.array((*tracker.limits, share, root, *factors))))
+            self._filters.append((eskf, np.array((*limits, share, root, *factors))))
             root = math.sqrt(factor)
         added = tracker.added if self._is_whole else None
         self._added = _NOTHING if added is None else added

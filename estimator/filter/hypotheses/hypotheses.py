@@ -205,9 +205,10 @@ class Hypotheses:
             fused[k] = self._answer(k, e, born, lead_refuses=k > 0 and not fused[0])
             return member.weight - before
 
-        following = [k for k, m in enumerate(self.members) if not m.omits(aid) and aid.witness not in m.doubts]
-        gained = {k: answer(k) for k, m in enumerate(self.members) if not m.omits(aid)}
-        by_others = gained[0] if 0 in gained else max((gained[k] for k in following), default=None)
+        asked = [k for k, m in enumerate(self.members) if not m.omits(aid)]
+        following = [0] if 0 in asked else [k for k in asked if aid.witness not in self.members[k].doubts]
+        gained = {k: answer(k) for k in asked}
+        by_others = max([gained[k] for k in following], default=None)
         for k, member in enumerate(self.members):
             if k in gained:
                 self._limit(k, e, gained, fused)
