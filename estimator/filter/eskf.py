@@ -58,8 +58,8 @@ class Innovation(NamedTuple):
 
     def first(self, m: int) -> "Innovation":
         """Of its first m components alone."""
-        s = self.s[:m, :m]
-        return Innovation(self.nu[:m], self.h[:m], self.hp[:m], self.noise[:m, :m], s, *mahalanobis(self.nu[:m], s))
+        s, noise = (np.ascontiguousarray(a[:m, :m]) for a in (self.s, self.noise))  # as compiled code knows them
+        return Innovation(self.nu[:m], self.h[:m], self.hp[:m], noise, s, *mahalanobis(self.nu[:m], s))
 
 
 class Eskf:
