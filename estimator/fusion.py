@@ -376,12 +376,12 @@ class Fusion:
 
     def _periodic(self, tracker: Tracker, t_ns: int, arrived_ns: int) -> list[Output]:
         out: list[Output] = []
-        is_due = self._next_health_ns is None or t_ns >= self._next_health_ns
-        if is_due or self._integrity.due(t_ns):
+        levels, health = self._integrity.due(t_ns), self._next_health_ns is None or t_ns >= self._next_health_ns
+        if levels or health:
             tracker.propagate(self._history.samples, tracker.core.t_ns)  # hypotheses that do not show
-        if self._integrity.due(t_ns):
+        if levels:
             out.append(self._integrity.at(tracker, t_ns, arrived_ns))
-        if is_due:
+        if health:
             self._next_health_ns = t_ns + self._health_period_ns
             out.append(self._health(tracker, t_ns, arrived_ns))
         return out

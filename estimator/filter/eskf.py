@@ -214,9 +214,8 @@ class Eskf:
 
     def update(self, seen: Innovation) -> None:
         """Fuse a gated measurement."""
-        columns, tau_s, psd, mean, estimated = self.slow
-        mean, self.sound = fused(self.x, self.cov, seen.nu, seen.h, seen.noise, mean, estimated)
-        self.slow = SlowErrors(columns, tau_s, psd, mean, estimated)
+        mean, self.sound = fused(self.x, self.cov, seen.nu, seen.h, seen.noise, self.slow.mean, self.slow.estimated)
+        self.slow = self.slow._replace(mean=mean)
         for block in self.clones:
             self._correct_pose(block)
 
@@ -292,33 +291,34 @@ def fused(x: Array, cov: Array, nu: Array, h: Array, noise: Array, mean: Array, 
 
     K = P H^T S^-1, but 0 in the rows of considered slow errors: estimated (n - 15,) 0; h: H (m, n), mostly zero.
     """
-    (m, n), dx = h.shape, np.zeros(cov.shape[0])
+    (m, n), dx, mean = h.shape, np.zeros(cov.shape[0]), mean.copy()
     s, hp = innovation_covariance(cov, h, noise)
-    gain, left = hp.copy(), np.zeros((m, n))  # K^T; (P (I - K H)^T H^T)^T - R K^T, 0 for what is estimated but for rounding
+    gain = hp.copy()  # K^T (m, n)
     if not cholesky.factor(s, s):
         raise np.linalg.LinAlgError("not positive definite")
     cholesky.forward(s, gain)
     cholesky.backward(s, gain)
-    gain[:, _N:] *= estimated
     for i in range(m):
         for j in range(n):
+            gain[i, j] *= 1.0 if j < _N else estimated[j - _N]
             dx[j] += gain[i, j] * nu[i]
-            for k in range(n):
-                cov[j, k] -= gain[i, j] * hp[i, k]
     for i in range(m):
-        for k in range(n):
-            if h[i, k] != 0.0:
-                for j in range(n):
-                    left[i, j] += h[i, k] * cov[j, k]
+        for j in range(n):
+            for k in range(n):
+                cov[j, k] -= hp[i, j] * gain[i, k]
+    left = innovation_covariance(cov, h, noise)[1]  # H P (I - K H)^T - R K^T: 0 but for rounding where nothing is considered
+    for i in range(m):
         for k in range(m):
             for j in range(n):
-                left[i, j] -= noise[k, i] * gain[k, j]
+                left[i, j] -= noise[i, k] * gain[k, j]
     for i in range(m):
         for j in range(n):
             for k in range(n):
-                cov[j, k] -= left[i, j] * gain[i, k]
+                cov[j, k] -= gain[i, j] * left[i, k]
     cholesky.symmetrise(cov)
-    return mean + estimated * dx[_N:], inject(x, cov, dx)
+    for k in range(n - _N):
+        mean[k] += dx[_N + k]
+    return mean, inject(x, cov, dx)
 
 
 @njit(cache=True, error_model="numpy")

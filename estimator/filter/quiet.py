@@ -80,9 +80,7 @@ def _take(
     the last one, then f: covariance <- ratio f covariance, added (3, 3) to the position's. The rest as imu.propagate and
     bounds.is_within.
     """
-    fastest, least_down, most_down, sigma, share, root, factor, ratio = (
-        rules[0], rules[1], rules[2], rules[3], rules[4], rules[5], rules[6], rules[7]
-    )  # fmt: skip
+    share, root, factor, ratio = rules[4], rules[5], rules[6], rules[7]
     leads = root == 0.0
     if leads:
         sampling.put(t_ns, u, known, i, i + 1, to_ns, wx, wy, wz, fx, fy, fz)
@@ -93,7 +91,7 @@ def _take(
         for k in range(_N):
             for j in range(_N):
                 covariance[k, j] = share * cov[k, j]
-        good = good and is_within(x, cov, fastest, least_down, most_down, sigma)
+        good = good and is_within(x, cov, rules[0], rules[1], rules[2], rules[3])
     elif share > 0.0:
         mix(covariance, share, cov, nav, x, root)
     if factor > 0.0:

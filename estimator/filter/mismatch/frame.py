@@ -143,13 +143,16 @@ def _nothing(t_ns: int) -> Moments:
 def _way(x: Array, h: float, p: Array, q: Array, p_next: Array, q_next: Array) -> tuple[Array, Array]:
     """Way (2, 3, 3) and turned (3,) of Moments, from a fix (p, q) to the next; x (16,): moved by the IMU alone from rest."""
     by_imu, by_fixes = so3.quat_log(x[_XQ:_XG]), so3.quat_log(so3.multiply(so3.conjugate(q), q_next))
-    r, way, turned, u = so3.matrix(q), np.empty((2, 3, 3)), np.zeros(3), x[_XV:_XQ] - h * _G
-    s = x[:_XV] / h - 0.5 * h * _G
+    r, way, turned, s, u = so3.matrix(q), np.empty((2, 3, 3)), np.zeros(3), np.empty(3), np.empty(3)
+    for k in range(3):
+        s[k], u[k] = x[k] / h - 0.5 * h * _G[k], x[_XV + k] - h * _G[k]
+        turned[0] += by_imu[k] ** 2
     for attitude in range(2):
         if attitude == 1:
             r, by_fixes = so3.product(so3.product(ENU_FROM_NED, r), FLU_FROM_FRD), so3.applied(FLU_FROM_FRD, by_fixes)
-        way[attitude, 0] = (p_next - p) / h
-        way[attitude, 1], way[attitude, 2] = so3.applied(r, s) + 0.5 * h * _G, so3.applied(r, u) + h * _G
-        turned[1 + attitude] = np.sum((by_fixes - by_imu) ** 2)
-    turned[0] = np.sum(by_imu**2)
+        mean, gained = so3.applied(r, s), so3.applied(r, u)
+        for k in range(3):
+            way[attitude, 0, k] = (p_next[k] - p[k]) / h
+            way[attitude, 1, k], way[attitude, 2, k] = mean[k] + 0.5 * h * _G[k], gained[k] + h * _G[k]
+            turned[1 + attitude] += (by_fixes[k] - by_imu[k]) ** 2
     return way, turned
