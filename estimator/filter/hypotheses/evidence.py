@@ -37,7 +37,7 @@ class Evidence(NamedTuple):
 
 def weighed(members: list[Hypothesis], aid: Aid, seen: list[Innovation], passed: list[bool], *, vouched: bool) -> Evidence:
     """Evidence of a reading; vouched: another source gave positions lately."""
-    if not any(m.doubts for m in members):  # most of the time
+    if not any(aid.topic in m.doubts or aid.receiver in m.doubts for m in members):  # most of the time
         return Evidence(aid, seen, passed, [None] * len(members), -math.inf, -math.inf)
     again = _again(members, aid, seen, passed, vouched=vouched)
     doubted = max(
@@ -50,7 +50,7 @@ def weighed(members: list[Hypothesis], aid: Aid, seen: list[Innovation], passed:
     )
     # A receiver is right or wrong in both: where its positions are doubted, its velocities are no evidence.
     by_receiver = -math.inf
-    if aid.receiver and any(aid.receiver in m.doubts for m in members):
+    if aid.receiver and any(aid.receiver in m.doubts and not m.omits(aid) for m in members):
         follow = [j for j, m in enumerate(members) if m.without != SENSORS and aid.receiver not in m.doubts]
         gains = [seen[j].log_likelihood if passed[j] else aid.log_false for j in follow]
         by_receiver = _mean([members[j].weight for j in follow], gains) if follow else -math.inf
