@@ -63,7 +63,7 @@ class Choice:
     """Which IMU leads. topics: of [inputs] imu; below two every sample is used."""
 
     def __init__(self, topics: tuple[str, ...]) -> None:
-        self._topics = topics
+        self._topics, self.is_used = topics, len(topics) > 1  # where there are several IMUs
         self.leader = topics[0] if topics else ""
         self.why = ""
         self._again_ns: dict[str, int] = {}
@@ -82,11 +82,6 @@ class Choice:
         """Why another IMU leads, and contradictions."""
         since_ns, doubt = self._doubt
         return "; ".join(filter(None, (self.why, doubt if t_ns - since_ns < _DOUBT_NS else "")))
-
-    @property
-    def is_used(self) -> bool:
-        """Whether there are several IMUs."""
-        return len(self._topics) > 1
 
     def leads(self, sample: ImuSample) -> bool:
         """Whether the estimator is to have the sample."""
