@@ -12,7 +12,7 @@ from estimator.filter.quiet import Quiet
 from estimator.fusion import Fusion, FusionConfig
 from estimator.sources.rest import RestConfig
 from logs.wire.codec import encode
-from models.messages import ImuSample, Input, PoseFix, Tick
+from models.messages import Health, ImuSample, Input, Integrity, PoseFix, Tick
 from models.state import X
 
 SECOND = 1_000_000_000
@@ -85,6 +85,21 @@ def test_the_short_way_gives_the_bytes_of_the_long_one(name: str, monkeypatch: p
     assert taken[0] > 500  # else nothing is compared
     monkeypatch.setattr(History, "_is_quiet", False)
     assert short == _outputs(FLIGHTS[name], config)
+
+
+def test_levels_and_health_find_all_hypotheses_at_one_time() -> None:
+    """One that does not show is left behind by the short way."""
+    fusion, compared, behind = Fusion(FusionConfig(imu=NOISE, origin=PLACE)), 0, 0
+    for message in _flight(BOTH):
+        out = fusion.handle(message)
+        tracker = fusion._history.tracker
+        times = {member.filter.t_ns for member in tracker.alignment.members}
+        behind += len(times) > 1
+        if len(tracker.alignment.members) > 1 and any(isinstance(o, Health | Integrity) for o in out):
+            compared += 1
+            assert times == {tracker.core.t_ns}
+    assert compared > 3
+    assert behind > 100
 
 
 @pytest.mark.parametrize("value", [np.nan, 1e9])
