@@ -111,4 +111,4 @@ def test_a_filter_that_is_run_again_stands_at_the_time_of_the_tracker() -> None:
         fusion.handle(message)
         tracker = fusion._history.tracker
         if tracker.core.hypotheses is not None:
-            assert {m.filter.t_ns for m in tracker.core.hypotheses.members} == {tracker.core.t_ns}
+            assert tracker.core.hypotheses.lead.t_ns == tracker.core.t_ns
