@@ -393,7 +393,7 @@ KINDS = {
         Kind("antenna switch", antenna_switch, "m", (1.0, 3.0, 10.0), "both"),
         Kind("GNSS delay", gnss_delay, "ms", (40.0, 100.0, 300.0), "gnss"),
         Kind("GNSS frozen", gnss_frozen, "s", (5.0, 20.0), "gnss"),
-        Kind("GNSS jammed", gnss_jammed, "s", (3.5,), "gnss"),
+        Kind("GNSS jammed", gnss_jammed, "s", (3.5, 10.0), "gnss"),
         Kind("GNSS slow error", gnss_slow, "m", (0.5, 1.0, 2.0), "gnss"),
         Kind("second fixes shifted", sensors.second_shifted, "m", (0.3, 1.0, 20.0)),
         Kind("second fixes shifted, with GNSS", sensors.second_shifted, "m", (1.0, 20.0), "both"),

@@ -15,9 +15,6 @@ from estimator.filter.hypotheses.hypothesis import MARGIN, SENSORS, Hypothesis
 from estimator.filter.hypotheses.mixture import ln_sum
 from estimator.sources.base.aid import Aid
 from estimator.sources.base.faults import lasts_s
-from models.measurements import mahalanobis
-
-_NOISIER = 256.0  # times the variance that a source claims
 
 
 class Evidence(NamedTuple):
@@ -55,12 +52,6 @@ def weighed(members: list[Hypothesis], aid: Aid, seen: list[Innovation], passed:
         gains = [seen[j].log_likelihood if passed[j] else aid.log_false for j in follow]
         by_receiver = _mean([members[j].weight for j in follow], gains) if follow else -math.inf
     return Evidence(aid, seen, passed, again, doubted, by_receiver)
-
-
-def noisier(aid: Aid, seen: Innovation) -> float:
-    """ln density of a source noisier than claimed: e N(nu; 0, S + (n - 1) R)."""
-    distance2, logdet = mahalanobis(seen.nu, seen.s + (_NOISIER - 1.0) * seen.noise)
-    return math.log(aid.rules.false_share) - 0.5 * (distance2 + logdet + len(seen.nu) * math.log(2.0 * math.pi))
 
 
 def _again(

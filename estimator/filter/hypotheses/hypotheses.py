@@ -6,7 +6,6 @@
 
     true:          w <- w + ln N(nu; 0, S)                      false:  w <- w + ln(e u)
     false again, and in agreement with the last false one:      w <- w - dt / tau + ln (sum w_j N(nu; 0, S_j) / sum w_j)
-    (of a position at least the density of a noisier source:    w <- w + ln(e N(nu; 0, S + 255 R)))
 
 j: hypotheses that take the source for true; e, u: share and uniform density of false readings; tau: duration of a repeated fault.
 The leading hypothesis is the estimate; another takes over by a margin. In the covariance, not in the decision, one without a
@@ -23,7 +22,7 @@ import numpy as np
 
 from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.hypotheses import attitude, follower, left_out
-from estimator.filter.hypotheses.evidence import Evidence, noisier, weighed
+from estimator.filter.hypotheses.evidence import Evidence, weighed
 from estimator.filter.hypotheses.follower import AGAIN_S
 from estimator.filter.hypotheses.hypothesis import FORGET, MARGIN, RUN_ENDS_S, SENSORS, Doubt, Hypothesis
 from estimator.filter.hypotheses.innovation import innovation
@@ -294,7 +293,7 @@ class Hypotheses:
             return False
         foretold = not aid.absolute and again is not None and again > true + MARGIN
         if doubt and again is not None and (doubt.deliberate or not passed or foretold):
-            member.weight += again if doubt.deliberate or not aid.absolute else max(again, noisier(aid, seen))
+            member.weight += again
             member.benefit = max(member.benefit - (aid.t_ns - doubt.last_ns) * 1e-9 / lasts_s(aid.kind), 0.0)
             doubt.last_ns = aid.t_ns
             return False
