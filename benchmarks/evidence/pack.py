@@ -130,9 +130,11 @@ def document(flown: Sequence[Flown], campaign: str, hours: float) -> str:
 
 def looks() -> str:
     """What benchmarks.identification has counted so far."""
-    found = json.loads(_LOOKS.read_text(encoding="utf-8"))
+    found, before = (json.loads((_LOOKS.parent / name).read_text(encoding="utf-8")) for name in (_LOOKS.name, "integrity.json"))
     made_by = ", ".join(dict.fromkeys(one["program"] for one in found["programs"]))
-    return Table(f"Shares with 95 %; program {made_by}", tuple(found["columns"]), found["rows"]).markdown()
+    table = Table(f"Shares with 95 %; program {made_by}", tuple(found["columns"]), found["rows"]).markdown()
+    old = next(one for one in before["tables"] if "--looks" in str(one["command"]))
+    return "\n".join((table, old["note"] + "\n", Table("Before", tuple(old["columns"]), old["rows"]).markdown()))
 
 
 def part(page: Sequence[str], mark: str, after: str) -> str:

@@ -1,12 +1,11 @@
 """How often landmarks are identified, and how often wrongly, among look-alikes: wrong fixes and identities with 95 % bounds.
 
-python -m benchmarks.identification --looks 6000 --pairs 216                 goes on where it ended
-python -m benchmarks.identification --looks 3000000 --pairs 50000 --jobs 2
+python -m benchmarks.identification --looks 6000 --pairs 216 --jobs 2        goes on where it ended
 python -m benchmarks.identification --summary benchmarks/results/looks.json  what is done so far, for pages
-
 Batches stand in out/identification/batches.jsonl with seed and program. A changed program looks anew at the seeds from --seed on;
 of a seed that two programs have done the newer row counts. Wrong fix: off by more than 3 m and outside its 99.99 % ellipsoid.
-Claimed: how many fixes of looks should be by a wrong identity, by their posteriors. Surer: doubt below 1e-5.
+Claimed: how many fixes of looks should be by a wrong identity, by their posteriors. Surer: doubt below 1e-5. A case of the
+summary is made again by --looks 3000 --pairs 216 --seed SEED.
 """
 
 import argparse
