@@ -67,9 +67,7 @@ class Counts(msgspec.Struct, frozen=True):
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.aerial.decoys", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--resume", action="store_true", help="keep the jobs that are done")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--only", default="", help="sets whose name contains this")

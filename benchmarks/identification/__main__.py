@@ -11,7 +11,7 @@ summary is made again by --looks 3000 --pairs 216 --seed SEED.
 import argparse
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +59,7 @@ def run(job: Job) -> Batch:
     return look(job) if job[0] == "looks" else show(job)
 
 
-def table(done: Iterable[Batch]) -> Table:
+def table(done: Collection[Batch]) -> Table:
     """A line for each world, and one for all of a kind."""
     groups = dict[tuple[str, str], list[Batch]]()
     for b in done:
@@ -78,24 +78,20 @@ def _numbers(some: list[Batch]) -> tuple[str, ...]:
     return (str(tried), str(fixes), str(far), rates[0], str(misled), rates[1], *claims, str(identified), str(mistaken), rates[2])
 
 
-def summary(done: Iterable[Batch]) -> dict[str, Any]:
+def summary(done: Collection[Batch]) -> dict[str, Any]:
     """What the pages cite, and each case with a wrong identity or a wrong fix."""
-    done = list(done)
-    found = table(done)
-    seeds = {(b.kind, b.program): [x.seed for x in done if (x.kind, x.program) == (b.kind, b.program)] for b in done}
-    programs = [
-        {"kind": kind, "program": made_by, "batches": len(some), "seeds": [min(some), max(some)]}
-        for (kind, made_by), some in seeds.items()
-    ]
+    found, programs = table(done), dict[str, set[int]]()
+    for b in done:
+        programs.setdefault(f"{b.kind} by {b.program}", set()).add(b.seed)
     cases = [msgspec.to_builtins(c) | {"kind": b.kind, "world": b.world, "seed": b.seed} for b in done for c in b.cases]
-    return {"programs": programs, "columns": found.columns, "rows": found.rows, "cases": cases}
+    seeds = {made_by: f"{min(some)} to {max(some)}" for made_by, some in programs.items()}
+    return {"seeds": seeds, "columns": found.columns, "rows": found.rows, "cases": cases}
 
 
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--looks", type=int, default=0)
-    parser.add_argument("--pairs", type=int, default=0)
-    parser.add_argument("--seed", type=int, default=0, help="the first")
+    for name in ("--looks", "--pairs", "--seed"):
+        parser.add_argument(name, type=int, default=0)
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--scheduler", default="", metavar="ADDRESS", help="dask.distributed scheduler")
     parser.add_argument("--summary", type=Path, help="file for the figures that pages cite")
