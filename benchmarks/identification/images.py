@@ -11,7 +11,6 @@ import numpy as np
 from benchmarks.identification.batch import Batch, Case, Job, case_of, counted
 from benchmarks.identification.worlds import GONE, HEIGHT_SIGMA_M, MAP_SIGMA_M, OUTLINE_SIGMA_M, UNMAPPED, draw_prior
 from models import so3
-from models.camera import CameraModel
 from models.messages import Array
 from vision.image.rectify import rectification
 from vision.pipeline import LandmarkPipeline, Result
@@ -62,27 +61,18 @@ def pair(scene: Scene, prior_m: float, seed: int, number: int) -> tuple[Array, A
 
 
 def _is_there(scene: Scene, said: RegionReport, p_n: Array, R_nb: Array) -> bool:
-    """Whether region and true roof hold each other's middle, in the image of the line's path; a roof that the right image alone
-    shows need only stand.
-    """
+    """Whether region and true roof, both cut at the border, hold each other's middle, in the image of the line's path."""
     true = next((m for m in scene.world.landmarks if m.id == said.landmark), None)
     if true is None:
         return False
     rig = scene.rig if said.path == "predict" else rectification(scene.rig).rig
     roof = np.column_stack((true.outline_n, np.full(len(true.outline_n), true.roof_d)))
-    low, high = _shown(rig.left, *rig.camera_pose(p_n, R_nb), roof)
-    if not (high > low).all():
-        low, high = _shown(rig.right, *rig.right_camera_pose(p_n, R_nb), roof)
-        return bool((high > low).all())
+    p_nc, R_nc = rig.camera_pose(p_n, R_nb)
+    px = np.clip(rig.left.project((roof - p_nc) @ R_nc), 0.0, (rig.left.width - 1.0, rig.left.height - 1.0))
+    low, high = px.min(axis=0), px.max(axis=0)
     u, v, width, height = said.bbox
     box = np.array([(u, v), (u + width, v + height)])
     return _inside((low + high) / 2.0, *box) and _inside(box.mean(axis=0), low, high)
-
-
-def _shown(camera: CameraModel, p_nc: Array, R_nc: Array, roof: Array) -> tuple[Array, Array]:
-    """Corners of what the image shows of a roof; outside it has no width or no height."""
-    px = np.clip(camera.project((roof - p_nc) @ R_nc), 0.0, (camera.width - 1.0, camera.height - 1.0))
-    return px.min(axis=0), px.max(axis=0)
 
 
 def _inside(point: Array, low: Array, high: Array) -> bool:
