@@ -131,8 +131,8 @@ def document(flown: Sequence[Flown], campaign: str, hours: float) -> str:
 def looks() -> str:
     """What benchmarks.identification has counted so far."""
     found, before = (json.loads((_LOOKS.parent / name).read_text(encoding="utf-8")) for name in (_LOOKS.name, "integrity.json"))
-    made_by = ", ".join(f"{program} with seeds {seeds}" for program, seeds in found["seeds"].items())
-    table = Table(f"Shares with 95 %; {made_by}", tuple(found["columns"]), found["rows"]).markdown()
+    made_by = "\n".join(f"- {program}: {seeds}" for program, seeds in found["seeds"].items())
+    table = f"{made_by}\n\n{Table('Today', tuple(found['columns']), found['rows']).markdown()}"
     old = next(one for one in before["tables"] if "--looks" in str(one["command"]))
     return "\n".join((table, old["note"] + "\n", Table("Before", tuple(old["columns"]), old["rows"]).markdown()))
 

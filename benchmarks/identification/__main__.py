@@ -28,7 +28,7 @@ from benchmarks.tables import Table
 PRIORS_M = (5.0, 10.0, 20.0)
 _LOOKS = 500  # of a batch of one world and prior
 COLUMNS = ("kind", "world", "tried", "fixes", "wrong fixes", "at most", "by a wrong identity", "at most", "claimed",
-           "surer fixes", "wrong", "identities", "wrong", "at most")  # fmt: skip
+           "surer fixes", "wrong of them", "identities", "wrong ones", "at most")  # fmt: skip
 
 
 def main() -> None:
@@ -80,11 +80,11 @@ def _numbers(some: list[Batch]) -> tuple[str, ...]:
 
 def summary(done: Collection[Batch]) -> dict[str, Any]:
     """What the pages cite, and each case with a wrong identity or a wrong fix."""
-    found, programs = table(done), dict[str, set[int]]()
+    found, programs = table(done), dict[str, list[int]]()
     for b in done:
-        programs.setdefault(f"{b.kind} by {b.program}", set()).add(b.seed)
+        programs.setdefault(f"{b.kind} by {b.program}", []).append(b.seed)
     cases = [msgspec.to_builtins(c) | {"kind": b.kind, "world": b.world, "seed": b.seed} for b in done for c in b.cases]
-    seeds = {made_by: f"{min(some)} to {max(some)}" for made_by, some in programs.items()}
+    seeds = {made_by: f"{len(some)} batches, seeds {min(some)} to {max(some)}" for made_by, some in programs.items()}
     return {"seeds": seeds, "columns": found.columns, "rows": found.rows, "cases": cases}
 
 
