@@ -457,9 +457,6 @@ class Tracker:
             self.scores = score.noted(CONSTANTS, aid, verdict.used, verdict.gate, self.scores, members, weight, alone=alone)
             if aid.absolute and (aid.delay_sigma_s or alone) and (late := self.scores.get(DELAY.block(aid.witness))) is not None:
                 self.late_cov = delay.covariance(late, aid.delay_sigma_s, core.hypotheses.lead.x[X.V])
-            states = (self.scores.get(c.block(aid.witness)) for c in CONSTANTS)
-            if core.stretch is not None and any(found is not None and found.is_state for found in states):
-                core.stretch = None  # a run would leave the constants out
         if not aid.geodetic and core.conflicts.outvotes(aid.topic):
             core.hypotheses.lead_from(aid, z, gyro_b)
             core.variance_factor, core.conflicts, self.means = NO_EXCESS, Conflicts(), {}

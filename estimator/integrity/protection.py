@@ -20,7 +20,7 @@ from models.messages import Array
 
 _EXACT: Final = 2e-3  # of a protection level, relative; rounded up
 _TINY, _TINY_M = 1e-300, 1e-9
-_MOST_STEPS: Final = 40
+_MOST_STEPS: Final = 200
 _HALF: Final = math.sqrt(0.5)
 _HOUR_S: Final = 3600.0
 

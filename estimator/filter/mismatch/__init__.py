@@ -5,11 +5,11 @@ from estimator.filter.mismatch.between import Means
 from estimator.filter.mismatch.bias_walk import BiasWalk
 from estimator.filter.mismatch.delay import DELAY
 from estimator.filter.mismatch.frame import Frame
+from estimator.filter.mismatch.heading import HEADING
 from estimator.filter.mismatch.jamming import Jamming
 from estimator.filter.mismatch.lasting import Lasting
 from estimator.filter.mismatch.scatter import Scatter
 from estimator.filter.mismatch.score import Scores
-from estimator.filter.mismatch.turned import HEADING
 
 CONSTANTS = DELAY, HEADING  # of a source, which nobody configured
 

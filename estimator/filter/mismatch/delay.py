@@ -68,7 +68,7 @@ def _says(topic: str, late_s: float, sigma_s: float) -> str:
     return f"stamps of {topic} are {1e3 * abs(late_s):.0f} ms {side} (sigma {1e3 * sigma_s:.0f} ms), beyond the configured delay"
 
 
-DELAY = Constant("delay", 0.1, 2e-3**2, 0.02, _LONGEST_S, 6.0, jacobian, _follows, _says)  # s
+DELAY = Constant("delay", 0.1, 2e-3**2, 0.02, _LONGEST_S, jacobian, _follows, _says)  # s
 
 _XV, _XQ, _XG, _XA = X.V.start, X.Q.start, X.BG.start, X.BA.start  # compiled code reads plain integers
 

@@ -40,10 +40,9 @@ _NOTHING = np.zeros((0, 5))
 class Constant(NamedTuple):
     """What a source may have, and how it shows.
 
-    sigma, walk: of c as a state, its variance per second; known: sigma that the sums must reach; most: largest |c|; alone: in
-    so many sigmas a reading beyond the gate must show it. jacobian: J (m,) of the whole measurement z at the state x (16,),
-    with rate and force u (6,); None: it does not depend on c. follows: dx / dc (15,) of a filter that has the error of the
-    readings. says: of a topic, c and its sigma.
+    sigma, walk: of c as a state, its variance per second; known: sigma that the sums must reach; most: largest |c|. jacobian: J
+    (m,) of the whole measurement z at the state x (16,), with rate and force u (6,); None: it does not depend on c. follows: dx
+    / dc (15,) of a filter that has the error of the readings. says: of a topic, c and its sigma.
     """
 
     name: str
@@ -51,7 +50,6 @@ class Constant(NamedTuple):
     walk: float
     known: float
     most: float
-    alone: float
     jacobian: Callable[[Measurement, Array, Array], Array | None]
     follows: Callable[[Array, Array], Array]
     says: Callable[[str, float, float], str]
@@ -90,7 +88,7 @@ class Sums(NamedTuple):
     ) -> "Sums":  # fmt: skip
         """The evidence with one more innovation; column: of c in P; weight: of a reading that shares errors with the last.
 
-        gate: a reading beyond it counts only where it shows c by itself; apart: of a position, with another source.
+        gate: a reading beyond it counts only where c explains it; apart: of a position, with another source.
         """
         if self.is_state:
             return self
@@ -104,7 +102,7 @@ class Sums(NamedTuple):
         if seen.distance2 > gate:
             found = scores / total if total > 0.0 else 0.0  # at rest no reading shows a delay
             left = seen.distance2 - 2.0 * found * score + found**2 * information  # (nu - J' c)^T S^-1 (nu - J' c)
-            if left > gate or score**2 < c.alone**2 * information or abs(score) > c.most * information:
+            if left > gate or abs(score) > c.most * information:
                 return sums
         readings = sums.readings + 1
         offset = sums.offset
@@ -135,11 +133,12 @@ def carried(
             continue
         known = scores.get(block)
         is_state = known is not None and known.is_state
-        if alone and block not in lead.slow.columns and (known is None or is_state):
+        if alone and (known is None or is_state):
             for member in members:
-                begin(c, member.filter, aid.witness, u)
-                if known is not None:
-                    estimate(c, member.filter, aid.witness, known)
+                if block not in member.filter.slow.columns:
+                    begin(c, member.filter, aid.witness, u)
+                    if known is not None:
+                        estimate(c, member.filter, aid.witness, known)
         covariance, walk = (np.array([[c.sigma**2]]), np.array([c.walk])) if is_state else (_CONSIDERED, None)
         errors.append(SlowError(block, covariance, math.inf, j[:, None], walk, starts_at_zero=True))
     return replace(aid, slow_errors=tuple(errors))
@@ -189,9 +188,7 @@ def begin_again(constants: Sequence[Constant], eskf: Eskf, topic: str, u: Array 
 
 
 def begin(c: Constant, eskf: Eskf, topic: str, u: Array) -> None:
-    """Note c of the only source of an alignment, unless it is known."""
-    if c.block(topic) in eskf.slow.columns:
-        return
+    """Note c of the only source of an alignment."""
     eskf.consider(c.block(topic), _CONSIDERED, math.inf)
     v = np.zeros(len(eskf.cov))
     v[: E.SIZE] = c.follows(eskf.x, u)

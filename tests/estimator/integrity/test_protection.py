@@ -3,7 +3,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.stats import norm
 
@@ -40,6 +40,7 @@ def test_what_is_always_known_needs_no_bound() -> None:
     assert protection_level([Mode("fixed", 1.0, 3.0, 0.0)], 1e-6, GAUSS, one_axis) == pytest.approx(3.0, rel=1e-2)
 
 
+@example([(0.0078125, 1.0, 1.0), (1e-9, 0.0, 1.0)], 0.0078125)  # a fault whose probability is the risk
 @given(st.lists(st.tuples(st.floats(1e-9, 1.0), st.floats(0, 1e3), SIZES), min_size=1, max_size=8), st.floats(1e-11, 1e-2))
 def test_the_bound_holds_and_is_tight(of: list[tuple[float, float, float]], probability: float) -> None:
     modes = [Mode(str(k), *m) for k, m in enumerate(of)]

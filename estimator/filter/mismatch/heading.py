@@ -37,6 +37,4 @@ def _says(topic: str, psi: float, sigma: float) -> str:
     )
 
 
-HEADING = Constant(
-    "heading", math.radians(30.0), math.radians(0.02) ** 2, math.radians(2.0), math.pi, 3.0, _jacobian, _follows, _says
-)
+HEADING = Constant("heading", math.radians(30.0), math.radians(0.02) ** 2, math.radians(2.0), math.pi, _jacobian, _follows, _says)

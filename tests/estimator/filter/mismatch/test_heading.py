@@ -9,8 +9,8 @@ from msgspec.structs import replace
 from estimator.filter.eskf import Eskf
 from estimator.filter.hypotheses import Hypothesis
 from estimator.filter.mismatch import score
+from estimator.filter.mismatch.heading import HEADING
 from estimator.filter.mismatch.score import Sums
-from estimator.filter.mismatch.turned import HEADING
 from models import so3
 from models.imu import Coast, ImuNoise, constants
 from models.measurements import Pose
@@ -56,10 +56,13 @@ def test_a_filter_that_was_aligned_with_turned_headings_foresees_them() -> None:
     assert np.abs(seen.hp[:, -1]).max() < 1e-20
 
 
-def test_a_filter_that_is_aligned_anew_has_what_was_found_before() -> None:
-    member, psi = Hypothesis(_eskf()), math.radians(15.0)
+def test_a_filter_that_is_aligned_anew_has_what_was_found_before_and_another_one_keeps_its_own() -> None:
+    member, other, psi = Hypothesis(_eskf()), Hypothesis(_eskf()), math.radians(15.0)
     found = {HEADING.block("/pose_fix"): Sums(EPOCH_NS, 1e4, psi * 1e4, is_state=True)}
-    score.carried([HEADING], aid_of(pose_fix(EPOCH_NS)), _pose(psi), U, found, [member], alone=True)
+    for members in ([other], [member, other]):
+        before = other.filter.cov.copy()
+        score.carried([HEADING], aid_of(pose_fix(EPOCH_NS)), _pose(psi), U, found, members, alone=True)
+    np.testing.assert_array_equal(other.filter.cov, before)
     at = member.filter.slow.columns[HEADING.block("/pose_fix")].start
     assert member.filter.slow.mean[at - E.SIZE] == pytest.approx(psi, rel=0.01)
     assert member.filter.slow.estimated[at - E.SIZE] == 1.0
