@@ -8,7 +8,7 @@ import numpy as np
 
 from estimator.filter.conflict import RECENT_NS, Conflicts
 from estimator.filter.hypotheses import Hypotheses
-from estimator.filter.mismatch import CONSTANTS, Frame, Jamming, Scatter, Scores, score
+from estimator.filter.mismatch import CONSTANTS, Frame, Scatters, Scores, score
 from estimator.filter.relative import drift
 from estimator.sources.base.machine import SourceState
 from estimator.sources.base.similarity import Similarity
@@ -120,7 +120,7 @@ def imu(hypotheses: Hypotheses | None) -> list[str]:
     return ["the IMU contradicts the fixes: unknown motion is assumed between them"] if doubts else []
 
 
-def scatter(found: Mapping[str, Scatter | Jamming], t_ns: int) -> list[str]:
+def scatter(found: Scatters, t_ns: int) -> list[str]:
     """Noisy sources."""
     return [
         f"{topic} scatters {math.sqrt(s.factor):.0f} times as far as it claims: jammed?"

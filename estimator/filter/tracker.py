@@ -5,7 +5,6 @@ It changes by measurements in order of validity alone.
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace as replace_in
 
 import numpy as np
 from msgspec.structs import replace
@@ -33,14 +32,13 @@ from estimator.filter.mismatch import (
     DELAY,
     BiasWalk,
     Frame,
-    Jamming,
-    Lasting,
     Means,
     Scatter,
+    Scatters,
     Scores,
     between,
     delay,
-    lasting,
+    scatter,
     score,
     speed_step,
 )  # fmt: skip
@@ -92,11 +90,10 @@ class Tracker:
         self.means: Means = {}  # of sources of fixes
         self.between: Array | None = None  # (3, 3) of the position, by what they differ by
         self.scores: Scores = {}  # of constants of the sources
-        self.lasting: Mapping[str, Lasting] = {}  # of pose sources
         self.late_cov: Array | None = None  # (3, 3) of the position, by a delay that the newest fix may have
         self.speed_steps: speed_step.Steps = {}
         self.bias_walk = BiasWalk()
-        self.scatter: dict[str, Scatter | Jamming] = {}  # of sources of positions, and their velocities; never changed in place
+        self.scatter: Scatters = {}  # of sources of positions, and their velocities
 
     def copy(self) -> "Tracker":
         """An independent copy; immutable parts are shared."""
@@ -115,7 +112,7 @@ class Tracker:
         other.core.receivers = core.receivers
         other.sources, other.place, other.anchor = self.sources.copy(), self.place, self.anchor
         other.alignment.given_up = self.alignment.given_up
-        other.frames, other.lasting = self.frames, self.lasting
+        other.frames, other.scatter = self.frames, self.scatter
         other.scores, other.bias_walk = self.scores, self.bias_walk
         return other
 
@@ -364,10 +361,9 @@ class Tracker:
         else:
             hypotheses, switches = core.hypotheses, core.hypotheses.switches
             aid = score.carried(CONSTANTS, aid, z, core.last_sample(samples), self.scores, hypotheses.members, alone=alone)
-            as_it_came, whole = aid, z
-            aid, z = lasting.carried(aid, z, self.lasting)
-            decision, state = self._judge(aid, z, gyro_b, state, alone=alone)
-            self.lasting = lasting.noted(as_it_came, whole, decision.innovation, self.lasting)
+            reported = z
+            aid, z = scatter.taken(aid, z, self.scatter.get(aid.topic))
+            decision, state = self._judge(aid, z, reported, gyro_b, state, alone=alone)
             self._note_speed(aid, z, gyro_b, samples, fused=decision.reason is Reason.FUSED)
             if decision.reason is Reason.GATED:
                 self._forget_estimated(aid, z)
@@ -421,21 +417,20 @@ class Tracker:
             if self.core.hypotheses.switches != switches:
                 self.core.stretch = None
 
-    def _judge(self, aid: Aid, z: Measurement, gyro_b: Array, state: SourceState, *, alone: bool) -> tuple[Decision, SourceState]:
+    def _judge(
+        self, aid: Aid, z: Measurement, reported: Measurement, gyro_b: Array, state: SourceState, *, alone: bool
+    ) -> tuple[Decision, SourceState]:
         core = self.core
         assert core.hypotheses is not None
         receiver = self.sources.get(aid.receiver or "", _UNKNOWN)  # of a velocity: it stands and falls with its positions
+        known = self.scatter.get(aid.topic) or Scatter(aid.t_ns)
         trusted = state.phase is Phase.ACTIVE and (receiver.phase is Phase.ACTIVE or aid.t_ns > receiver.silent_ns)
-        known = self.scatter.get(aid.topic) or (Jamming if aid.receiver or aid.geodetic else Scatter)(aid.t_ns)
         trusted = trusted and known.is_aid
-        if known.factor > 1.0 and isinstance(z, Pose | Position | Velocity):
-            z = replace_in(z, noise=known.widened(z.noise))
         proven = core.variance_factor.is_proven
         vouched = aid.absolute and self._vouched(aid)
         verdict = core.hypotheses.judge(aid, z, gyro_b, trusted=trusted, vouched=vouched, proven=proven)
-        if (aid.absolute or aid.receiver) and isinstance(z, Pose | Position | Velocity):
-            now = self._scattered(known, aid, verdict, alone=alone)
-            self.scatter = {**self.scatter, aid.topic: now}
+        if (aid.absolute or aid.receiver) and isinstance(reported, Pose | Position | Velocity):
+            self.scatter = {**self.scatter, aid.topic: self._scattered(known, aid, verdict, reported.noise, alone=alone)}
         if verdict.used is not verdict.seen:
             core.stretch = None  # a run would fuse the attitude
         for topic in verdict.wrong:
@@ -452,8 +447,7 @@ class Tracker:
         apart = core.conflicts.apart.get(aid.witness)
         may_be_late = apart is None or delay.explains(apart.off, apart.s, core.hypotheses.lead.x)
         if trusted and may_be_late and (aid.absolute or aid.receiver):
-            weight = self.lasting[aid.topic].weight if aid.topic in self.lasting else 1.0
-            members = core.hypotheses.members
+            members, weight = core.hypotheses.members, known.weight
             self.scores = score.noted(CONSTANTS, aid, verdict.used, verdict.gate, self.scores, members, weight, alone=alone)
             if aid.absolute and (aid.delay_sigma_s or alone) and (late := self.scores.get(DELAY.block(aid.witness))) is not None:
                 self.late_cov = delay.covariance(late, aid.delay_sigma_s, core.hypotheses.lead.x[X.V])
@@ -492,13 +486,11 @@ class Tracker:
             self.means = between.noted(self.means, aid.topic, aid.t_ns, seen.nu, z.noise)
         self.between = between.covariance(self.means, {topic for topic, other in apart.items() if other.agrees})
 
-    def _scattered(self, known: Scatter | Jamming, aid: Aid, verdict: Verdict, *, alone: bool) -> Scatter | Jamming:
+    def _scattered(self, known: Scatter, aid: Aid, verdict: Verdict, reported: Array, *, alone: bool) -> Scatter:
         core = self.core
-        if isinstance(known, Jamming):
-            return known.also(aid.t_ns, verdict.seen, core.variance_factor.value)
-        now = known.also(aid.t_ns, verdict.seen, fused=verdict.fused and verdict.used is verdict.seen)
-        if core.hypotheses is not None and alone and known.factor == 1.0 < now.factor and now.by_chance:
-            core.hypotheses.lead.admit_noise(verdict.seen, now.widened(verdict.seen.noise), now.by_chance)
+        now = known.also(aid.t_ns, verdict.seen, reported, fused=verdict.fused and verdict.used is verdict.seen)
+        if core.hypotheses is not None and alone and now.factors and not known.factors and now.by_chance:
+            core.hypotheses.lead.admit_noise(verdict.seen, now.widened(reported), now.by_chance)
         return now
 
     def _note_speed(self, aid: Aid, z: Measurement, gyro_b: Array, samples: ImuBuffer, *, fused: bool) -> None:

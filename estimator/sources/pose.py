@@ -253,9 +253,14 @@ def _steady(block: str, moved: Array) -> SlowError:
     return SlowError(block, _unit(moved.shape[1]), math.inf, moved)
 
 
+def look(topic: str) -> str:
+    """Block of the errors that the next fix shares."""
+    return f"{topic}.look"
+
+
 def lasting(topic: str, covariance: Array) -> SlowError:
     """Six errors that the next fix shares (light, texture), covariance (6, 6)."""
-    return SlowError(f"{topic}.look", _unit(_SIX), _LASTS_S, symmetric_root(covariance)[0])
+    return SlowError(look(topic), _unit(_SIX), _LASTS_S, symmetric_root(covariance)[0])
 
 
 def _on_the_body(block: str, moved: Array) -> SlowError:

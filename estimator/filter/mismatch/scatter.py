@@ -1,57 +1,82 @@
-"""A source of fixes noisier than it reports: they scatter about one another.
+"""How a source's readings scatter about one another: more than they report is noise, less is an error that lasts.
 
     d_k = nu_k - 2 nu_{k-1} + nu_{k-2},   r_k = d_k^T (R_k + 4 R_{k-1} + R_{k-2})^-1 d_k
     R <- s R,   s = r_(6) / m_50 where r_(3) > chi2_0.96,   from where most nu_k^T S_k^-1 nu_k > chi2_0.9999 on
+    y <- y + a (ln r_k - E ln chi2_3 - y),     rho = 2 - sqrt(1 + 3 min(b e^y, 1))
 
 by blocks of three components. r_(k): k-th smallest of the last twelve; m_50: median of chi-square. The error of the estimate
-changes slowly, and cancels; an outlier makes three large.
+changes slowly, and cancels; an outlier makes three large. A Gauss-Markov error of correlation rho from reading to reading has
+E r = 3 - 4 rho + rho^2: a share rho of a pose's R becomes a considered error. b covers the uncertainty of y. (By the correlation
+of innovations: Mehra 1970)
 """
 
-from typing import NamedTuple
+import math
+from collections.abc import Mapping
+from dataclasses import replace as replace_in
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from msgspec.structs import replace
 
 from estimator.filter.eskf import Innovation
+from estimator.sources import pose
+from estimator.sources.base.aid import Aid
 from estimator.sources.base.gating import gate
-from models.measurements import mahalanobis
+from models.measurements import Measurement, Pose, Position, Velocity, mahalanobis
 from models.messages import Array
 
 _WINDOW, _RANK, _MIDDLE = 12, 3, 6
 _USUAL, _FAR = 0.96, 0.9999
 _USELESS = 1e4
 _APART_S = 1.1  # readings further apart are not compared
+_GAIN, _LN_MEAN, _BOUND = 0.03, 0.73, 1.65  # a; E ln chi2_3; b: three sigmas of y
+_LEAST_LN, _MOST_LN = -6.0, 2.0  # of ln r - E ln chi2_3
 _XYZ = 3
 
 
 class Reading(NamedTuple):
-    """nu (m,) and reported R (m, m); whether it was far off, and whether it was fused."""
+    """nu (m,), reported R (m, m), r by block, () for the first two; whether it was far off, and whether it was fused."""
 
     nu: Array
     noise: Array
+    r: tuple[float, ...]
     far: bool
     fused: bool
 
 
 class Scatter(NamedTuple):
-    """Factors s of a source at t_ns, by block; last: its readings."""
+    """Factors s and y of a source at t_ns, by block; last: its readings."""
 
     t_ns: int
     last: tuple[Reading, ...] = ()
     factors: tuple[float, ...] = ()
+    ln: tuple[float, ...] = ()
 
     @property
     def factor(self) -> float:
         """The largest."""
-        return max(self.factors) if self.factors else 1.0
+        return max(self.factors, default=1.0)
 
     def widened(self, noise: Array) -> Array:
         """R (m, m) of a reading as it scatters."""
-        return noise if self.factor == 1.0 else noise * self._squared(len(noise))
+        root = np.sqrt(np.repeat(self.factors, _XYZ)[: len(noise)])
+        return noise * np.outer(root, root)
+
+    @property
+    def shares(self) -> tuple[float, ...]:
+        """rho by block, zero where it scatters as it reports."""
+        return tuple([max(2.0 - math.sqrt(1.0 + 3.0 * min(_BOUND * math.exp(y), 1.0)), 0.0) for y in self.ln])
+
+    @property
+    def weight(self) -> float:
+        """Independent readings of a pose in one, (1 - rho) / (1 + rho)."""
+        rho = max(self.shares, default=0.0)
+        return (1.0 - rho) / (1.0 + rho)
 
     @property
     def by_chance(self) -> int:
         """How many of the last readings were fused with too small an R; more than one or two are no chance."""
-        fused = sum([reading.fused for reading in self.last[2 + _RANK :]])
+        fused = sum([reading.fused for reading in self.last[_RANK:]])
         return fused if fused < _RANK else 0
 
     @property
@@ -59,25 +84,48 @@ class Scatter(NamedTuple):
         """Whether its readings are worth their noise."""
         return self.factor < _USELESS
 
-    def also(self, t_ns: int, seen: Innovation, *, fused: bool) -> "Scatter":
-        """With one more innovation, whose noise is widened."""
-        m = len(seen.nu)
-        if self.last and (m != len(self.last[-1].nu) or (t_ns - self.t_ns) * 1e-9 > _APART_S):
-            return Scatter(t_ns).also(t_ns, seen, fused=fused) if self.factor == 1.0 else Scatter(t_ns)  # this noise is widened
-        reported = seen.noise if self.factor == 1.0 else seen.noise / self._squared(m)
-        last = (*self.last[-1 - _WINDOW :], Reading(seen.nu, reported, seen.distance2 > gate(_FAR, m), fused))
-        if len(last) < _WINDOW + 2 or (self.factor == 1.0 and 2 * sum([reading.far for reading in last[2:]]) <= _WINDOW):
-            return Scatter(t_ns, last, self.factors)
-        return Scatter(t_ns, last, tuple([_factor(last, slice(k, k + _XYZ)) for k in range(0, m, _XYZ)]))
+    def also(self, t_ns: int, seen: Innovation, reported: Array, *, fused: bool) -> "Scatter":
+        """With one more innovation of a reading that reports R (m, m)."""
+        m, last, factors, ln = len(seen.nu), self.last[1 - _WINDOW :], self.factors, self.ln
+        if last and (m != len(last[-1].nu) or (t_ns - self.t_ns) * 1e-9 > _APART_S):
+            last, factors = (), ()
+        r = _bends(last[-2], last[-1], seen.nu, reported) if len(last) > 1 else ()
+        last = (*last, Reading(seen.nu, reported, r, seen.distance2 > gate(_FAR, m), fused))
+        if m == 2 * _XYZ and r:
+            ln = tuple([y + _GAIN * (_ln(r_k) - y) for y, r_k in zip(ln or (0.0,) * len(r), r, strict=True)])
+        if len(last) == _WINDOW and last[0].r and (factors or 2 * sum([one.far for one in last]) > _WINDOW):
+            factors = tuple([_factor([one.r[k] for one in last], min(_XYZ, m - _XYZ * k)) for k in range(len(r))])
+            factors = factors if max(factors) > 1.0 else ()
+        return Scatter(t_ns, last, factors, ln)
 
-    def _squared(self, m: int) -> Array:
-        root = np.sqrt(np.repeat(self.factors, _XYZ)[:m])
-        return np.outer(root, root)
+
+Scatters: TypeAlias = Mapping[str, Scatter]  # by topic of positions and velocities
 
 
-def _factor(last: tuple[Reading, ...], rows: slice) -> float:
-    triples, dof = zip(last, last[1:], last[2:], strict=False), len(last[-1].nu[rows])
-    r = sorted(
-        [mahalanobis((a.nu - 2.0 * b.nu + c.nu)[rows], (a.noise + 4.0 * b.noise + c.noise)[rows, rows])[0] for a, b, c in triples]
-    )
-    return r[_MIDDLE - 1] / gate(0.5, dof) if r[_RANK - 1] > gate(_USUAL, dof) else 1.0
+def taken(aid: Aid, z: Measurement, known: Scatter | None) -> tuple[Aid, Measurement]:
+    """A reading with its noise as it scatters, or what lasts of it among its slow errors: R = E R E + D R D, D^2 = rho."""
+    if known is None or not isinstance(z, Pose | Position | Velocity):
+        return aid, z
+    if known.factors:
+        return aid, replace_in(z, noise=known.widened(z.noise))
+    is_given = any(e.block == pose.look(aid.topic) for e in aid.slow_errors)
+    if is_given or len(z.rows) != 2 * _XYZ or not any(known.shares):
+        return aid, z
+    shares = np.repeat(known.shares, _XYZ)
+    lasts, own = np.sqrt(shares), np.sqrt(1.0 - shares)
+    error = pose.lasting(aid.topic, lasts[:, None] * z.noise * lasts)
+    return replace(aid, slow_errors=(*aid.slow_errors, error)), replace_in(z, noise=own[:, None] * z.noise * own)
+
+
+def _bends(a: Reading, b: Reading, nu: Array, noise: Array) -> tuple[float, ...]:
+    d, r = a.nu - 2.0 * b.nu + nu, a.noise + 4.0 * b.noise + noise
+    return tuple([mahalanobis(d[k : k + _XYZ], r[k : k + _XYZ, k : k + _XYZ])[0] for k in range(0, len(d), _XYZ)])
+
+
+def _factor(r: list[float], dof: int) -> float:
+    r.sort()
+    return max(r[_MIDDLE - 1] / gate(0.5, dof), 1.0) if r[_RANK - 1] > gate(_USUAL, dof) else 1.0
+
+
+def _ln(r: float) -> float:
+    return min(max(math.log(max(r, 1e-9)) - _LN_MEAN, _LEAST_LN), _MOST_LN)

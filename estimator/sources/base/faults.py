@@ -3,8 +3,7 @@
     source         fault                                 onset                 lasts       size
     any            one false reading                     false_share           -           uniform within what is plausible
     pose, range..  the same false reading again          with the false one    LASTS_S     the last one
-    fixes          noisier than they report              when it is seen       12 readings mismatch/scatter.py measures it
-    GNSS           jammed: noisier than it reports       when it is seen       5 s         mismatch/jamming.py measures it
+    fixes, GNSS    noisier than they report: jammed      when it is seen       12 readings mismatch/scatter.py measures it
     any            held: equal to the bit in motion      when it is seen       -           held.py; the reading is missing
     IMU            wrong in an unknown way               a fix nobody predicts until fixes show it right; unknown motion
     GNSS           misled for long                       1 - [gnss] trust      to the end  any

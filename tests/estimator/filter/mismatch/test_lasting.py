@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from estimator.filter.mismatch import Lasting, lasting
+from estimator.filter.eskf import Innovation
+from estimator.filter.mismatch import Scatter, scatter
 from estimator.sources.pose import PoseConfig
 from models.measurements import Pose
 from models.messages import Array, Input, PoseFix, vec3
@@ -26,10 +27,14 @@ def _course(count: int, rho: float, seed: int) -> Array:
     return x
 
 
-def _after(nus: Array, every_ns: int = SECOND // 20) -> Lasting:
-    known = Lasting(EPOCH_NS)
+def _seen(nu: Array) -> Innovation:
+    return Innovation(nu, np.eye(6), np.eye(6), SIGMA**2 * np.eye(6), SIGMA**2 * np.eye(6), float(nu @ nu) / SIGMA**2, 0.0)
+
+
+def _after(nus: Array, every_ns: int = SECOND // 20) -> Scatter:
+    known = Scatter(EPOCH_NS)
     for k, nu in enumerate(nus):
-        known = known.also(EPOCH_NS + k * every_ns, nu, SIGMA**2 * np.eye(6))
+        known = known.also(EPOCH_NS + k * every_ns, _seen(nu), SIGMA**2 * np.eye(6), fused=True)
     return known
 
 
@@ -59,7 +64,7 @@ def test_false_fixes_change_little_and_a_pause_nothing() -> None:
     nus[[386, 394], :3] += 50.0
     assert min(_after(nus).shares) > 0.6
     known = _after(SIGMA * _course(400, 0.97, 3))
-    assert known.also(known.t_ns + 60 * SECOND, np.ones(6), np.eye(6)).shares == known.shares
+    assert known.also(known.t_ns + 60 * SECOND, _seen(np.ones(6)), np.eye(6), fused=True).shares == known.shares
 
 
 def test_the_variance_that_a_fix_reports_is_divided_and_a_division_that_is_configured_stays() -> None:
@@ -67,14 +72,14 @@ def test_the_variance_that_a_fix_reports_is_divided_and_a_division_that_is_confi
     aid, configured = aid_of(fix), aid_of(fix, PoseConfig(lasting_share=0.5))
     z = aid.measurement(None)
     assert isinstance(z, Pose)
-    known = {aid.topic: _after(SIGMA * _course(400, 0.97, 3))}
-    divided, rest = lasting.carried(aid, z, known)
+    known = _after(SIGMA * _course(400, 0.97, 3))
+    divided, rest = scatter.taken(aid, z, known)
     assert isinstance(rest, Pose)
     (look,) = [e.moves(np.zeros(16)) for e in divided.slow_errors if e.block == "/pose_fix.look"]
     assert look is not None
     np.testing.assert_allclose(np.diag(rest.noise + look @ look.T), np.diag(z.noise))
-    np.testing.assert_allclose(np.diag(look @ look.T) / np.diag(z.noise), np.repeat(known[aid.topic].shares, 3))
-    assert lasting.noted(configured, z, (0.0,) * 6, known) is known
+    np.testing.assert_allclose(np.diag(look @ look.T) / np.diag(z.noise), np.repeat(known.shares, 3))
+    assert scatter.taken(configured, z, known) == (configured, z)
 
 
 def test_a_fix_in_part_stays_as_it_is() -> None:
@@ -82,9 +87,8 @@ def test_a_fix_in_part_stays_as_it_is() -> None:
     aid = aid_of(replace(pose_fix(EPOCH_NS), covariance=covariance))
     z = aid.measurement(None)
     assert isinstance(z, Pose)
-    known = {aid.topic: _after(SIGMA * _course(400, 0.97, 3))}
-    assert lasting.carried(aid, z, known) == (aid, z)
-    assert lasting.noted(aid, z, (0.0,) * 5, known) is known
+    known = _after(SIGMA * _course(400, 0.97, 3))
+    assert scatter.taken(aid, z, known) == (aid, z)
 
 
 def _flown(shift: Sequence[Array] | None, claimed: float = 1.0) -> tuple[Simulation, list[Input]]:

@@ -19,10 +19,10 @@ def _after(nus: Array) -> Scatter:
     """After innovations (k, 6) of a pose twice a second, of SIGMA in all components, whose noise is widened as found."""
     scatter = Scatter(EPOCH_NS)
     for k, nu in enumerate(nus):
-        noise = scatter.widened(SIGMA**2 * np.eye(6))
+        noise = scatter.widened(SIGMA**2 * np.eye(6)) if scatter.factors else SIGMA**2 * np.eye(6)
         s = noise + 1e-4 * np.eye(6)
         seen = Innovation(nu, np.eye(6), np.eye(6), noise, s, float(nu @ np.linalg.solve(s, nu)), 0.0)
-        scatter = scatter.also(EPOCH_NS + k * SECOND // 2, seen, fused=False)
+        scatter = scatter.also(EPOCH_NS + k * SECOND // 2, seen, SIGMA**2 * np.eye(6), fused=False)
     return scatter
 
 
@@ -61,7 +61,7 @@ def test_it_ends_with_the_noise() -> None:
 def test_readings_that_are_far_apart_in_time_are_not_compared() -> None:
     noisy = _after(_noise(30, 25.0))
     seen = Innovation(np.ones(6), np.eye(6), np.eye(6), np.eye(6), np.eye(6), 6.0, 0.0)
-    assert noisy.also(noisy.t_ns + 3 * SECOND, seen, fused=False).factor == 1.0
+    assert noisy.also(noisy.t_ns + 3 * SECOND, seen, np.eye(6), fused=False).factor == 1.0
 
 
 def test_fixes_that_become_noisy_for_good_are_weighed_by_their_noise() -> None:
