@@ -43,6 +43,7 @@ _NAMES = (("north", "south"), ("east", "west"), ("down", "up"))
 _G = np.array([0.0, 0.0, GRAVITY])
 _CONSTANTS = imu.constants(imu.ImuNoise(), imu.Coast(), None)
 _AT_REST = np.eye(1, X.SIZE, X.Q.start)[0]
+_NO_PAIR = np.zeros((2, 7))
 _XYZ, _TINY = 3, 1e-12
 _XV, _XQ, _XG = X.V.start, X.Q.start, X.BG.start  # compiled code reads plain integers
 
@@ -50,18 +51,17 @@ _XV, _XQ, _XG = X.V.start, X.Q.start, X.BG.start  # compiled code reads plain in
 class Moments(NamedTuple):
     """Sums over pairs of ways since t0_ns: of (1, a, d), (2, 7, 7); turned (3,): squared rotation, what attitudes leave of it.
 
-    A way from one fix to the next, (2, 3, 3), with each attitude: mean velocity by the fixes, s / h and u by the IMU.
+    A way from one fix to the next, (2, 2, 7): what a pair has of its second way, and less of its first, with each attitude.
     """
 
     t0_ns: int
     sums: Array
     turned: Array
 
-    def also(self, before: Array, way: Array) -> "Moments":
-        """With one more pair."""
-        row = np.ones((2, 7))
-        row[:, 1:4], row[:, 4:] = way[:, 1] - before[:, 1] + before[:, 2], way[:, 0] - before[:, 0]
-        return self._replace(sums=self.sums + row[:, :, None] * row[:, None, :])
+    def also(self, before: Array | None, way: Array, turned: Array) -> "Moments":
+        """With one more way, and its pair with the one before."""
+        row = way[0] - before[1] if before is not None else _NO_PAIR
+        return Moments(self.t0_ns, self.sums + row[:, :, None] * row[:, None], self.turned + turned)
 
     @property
     def verdict(self) -> tuple[int, Array, float] | None:
@@ -117,9 +117,7 @@ class Frame(NamedTuple):
         x = imu.moved(_AT_REST, samples.t_ns, samples.u, samples.count, i, self.t_ns, t_ns, _CONSTANTS)
         way, turned = _way(x, between_ns * 1e-9, self.p_n, self.q_nb_wxyz, p_n, q_nb_wxyz)
         moments = self.moments if (t_ns - self.moments.t0_ns) * 1e-9 < _ANEW_S else _nothing(t_ns)
-        moments = moments._replace(turned=moments.turned + turned)
-        if self.way is not None:
-            moments = moments.also(self.way, way)
+        moments = moments.also(self.way, way, turned)
         found = moments.verdict
         says = self.says if found is None else _words(*found)
         return Frame(t_ns, p_n, q_nb_wxyz, way, moments, self.says if self.says and says else says)
@@ -141,9 +139,9 @@ def _nothing(t_ns: int) -> Moments:
 
 @njit(cache=True, error_model="numpy")
 def _way(x: Array, h: float, p: Array, q: Array, p_next: Array, q_next: Array) -> tuple[Array, Array]:
-    """Way (2, 3, 3) and turned (3,) of Moments, from a fix (p, q) to the next; x (16,): moved by the IMU alone from rest."""
+    """Way (2, 2, 7) and turned (3,) of Moments, from a fix (p, q) to the next; x (16,): moved by the IMU alone from rest."""
     by_imu, by_fixes = so3.quat_log(x[_XQ:_XG]), so3.quat_log(so3.multiply(so3.conjugate(q), q_next))
-    r, way, turned, s, u = so3.matrix(q), np.empty((2, 3, 3)), np.zeros(3), np.empty(3), np.empty(3)
+    r, way, turned, s, u = so3.matrix(q), np.zeros((2, 2, 7)), np.zeros(3), np.empty(3), np.empty(3)
     for k in range(3):
         s[k], u[k] = x[k] / h - 0.5 * h * _G[k], x[_XV + k] - h * _G[k]
         turned[0] += by_imu[k] ** 2
@@ -151,8 +149,10 @@ def _way(x: Array, h: float, p: Array, q: Array, p_next: Array, q_next: Array) -
         if attitude == 1:
             r, by_fixes = so3.product(so3.product(ENU_FROM_NED, r), FLU_FROM_FRD), so3.applied(FLU_FROM_FRD, by_fixes)
         mean, gained = so3.applied(r, s), so3.applied(r, u)
+        way[0, attitude, 0] = 1.0
         for k in range(3):
-            way[attitude, 0, k] = (p_next[k] - p[k]) / h
-            way[attitude, 1, k], way[attitude, 2, k] = mean[k] + 0.5 * h * _G[k], gained[k] + h * _G[k]
+            way[:, attitude, 4 + k] = (p_next[k] - p[k]) / h
+            way[0, attitude, 1 + k] = mean[k] + 0.5 * h * _G[k]
+            way[1, attitude, 1 + k] = way[0, attitude, 1 + k] - (gained[k] + h * _G[k])
             turned[1 + attitude] += (by_fixes[k] - by_imu[k]) ** 2
     return way, turned

@@ -63,7 +63,7 @@ def _moments(a: object, m: object, seed: int = 1) -> Moments:
     rng, found = np.random.default_rng(100 + seed), Moments(EPOCH_NS, np.zeros((2, 7, 7)), np.eye(3)[0])
     for row in np.asarray(a, dtype=float):
         by_fixes = np.asarray(m) @ row + rng.normal(0.0, 0.1, 3)
-        found = found.also(np.zeros((2, 3, 3)), np.stack([(by_fixes, row, np.zeros(3))] * 2))
+        found = found.also(np.zeros((2, 2, 7)), np.full((2, 2, 7), [1.0, *row, *by_fixes]), np.zeros(3))
     return found
 
 
