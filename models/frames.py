@@ -18,6 +18,7 @@ EARTH_RATE = 7.292115e-5  # rad/s, WGS-84
 GRAVITY = 9.80665  # m/s^2, standard gravity, where the place on Earth is unknown
 _EARTH_RADIUS = 6_378_137.0  # m, WGS-84 semi-major axis
 _E2 = 6.69437999014e-3  # WGS-84 first eccentricity squared
+_WGS84 = pymap3d.Ellipsoid.from_name("wgs84")
 
 ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # its own inverse
 FLU_FROM_FRD = np.diag([1.0, -1.0, -1.0])  # its own inverse
@@ -38,7 +39,7 @@ class Origin:
 
     def to_ned(self, lat_deg: float, lon_deg: float, alt_m: float) -> Vec3:
         """Position in n [m] of a geodetic position, exact (ECEF)."""
-        n, e, d = pymap3d.geodetic2ned(lat_deg, lon_deg, alt_m, self.lat_deg, self.lon_deg, self.alt_m)
+        n, e, d = pymap3d.geodetic2ned(lat_deg, lon_deg, alt_m, self.lat_deg, self.lon_deg, self.alt_m, _WGS84)
         return float(n), float(e), float(d)
 
     def to_geodetic(self, p_n: Array | Vec3) -> Vec3:

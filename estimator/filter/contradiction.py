@@ -66,13 +66,12 @@ class Contradiction(NamedTuple):
 NO_CONTRADICTION = Contradiction()
 
 
-def direction(nu: Array, s: Array) -> tuple[float, ...]:
+def direction(nu: Array, s: Array) -> Array:
     """Unit vector (m,) of an innovation nu (m,) of covariance s (m, m) in units of its sigma."""
-    scaled = [a / math.sqrt(variance) for a, variance in zip(nu.tolist(), s.diagonal().tolist(), strict=True)]
-    length = max(math.hypot(*scaled), _TINY)
-    return tuple([a / length for a in scaled])
+    scaled = nu / np.sqrt(s.diagonal())
+    return scaled / max(math.hypot(*scaled.tolist()), _TINY)
 
 
-def persists(before: tuple[float, ...], now: tuple[float, ...]) -> bool:
+def persists(before: Array, now: Array) -> bool:
     """Whether two innovations point the same way, as those of a wrong IMU."""
-    return len(before) == len(now) and sum(a * b for a, b in zip(before, now, strict=True)) > _SAME_WAY
+    return len(before) == len(now) and float(before @ now) > _SAME_WAY

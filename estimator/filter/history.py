@@ -270,15 +270,12 @@ class History:
             return
         if self._since_checkpoint >= _CHECKPOINT_SAMPLES:
             self._checkpoint()
-        if tracker.core.t_ns == samples.previous_ns and to_ns == samples.newest_ns:  # one sample further: nearly every call
-            self._since_checkpoint += 1
-        else:
-            begin, end = samples.first_after(tracker.core.t_ns), samples.first_after(to_ns)
-            stops = samples.t_ns[begin + _CHECKPOINT_SAMPLES : max(end - 1, 0) : _CHECKPOINT_SAMPLES].tolist()
-            for stop in stops:
-                tracker.propagate(samples, stop)
-                self._checkpoint()
-            self._since_checkpoint += end - begin - _CHECKPOINT_SAMPLES * len(stops)
+        begin, end = samples.first_after(tracker.core.t_ns), samples.first_after(to_ns)
+        stops = [int(samples.t_ns[k]) for k in range(begin + _CHECKPOINT_SAMPLES, end - 1, _CHECKPOINT_SAMPLES)]
+        for stop in stops:
+            tracker.propagate(samples, stop)
+            self._checkpoint()
+        self._since_checkpoint += end - begin - _CHECKPOINT_SAMPLES * len(stops)
         tracker.propagate(samples, to_ns)
 
     def _checkpoint(self) -> None:

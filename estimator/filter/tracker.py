@@ -180,7 +180,8 @@ class Tracker:
     @property
     def is_sound(self) -> bool:
         """Every number of the leading filter is finite, every variance positive."""
-        return self.alignment.bank is None or self.alignment.bank.lead.sound
+        bank = self.alignment.bank
+        return bank is None or bank.lead.sound
 
     @property
     def shows_mixture(self) -> bool:
@@ -456,7 +457,7 @@ class Tracker:
             core.variance_factor, core.conflicts, self.means = NO_EXCESS, Conflicts(), {}
         self._note_between(aid, z, verdict.seen)
         core.hypotheses.drop(lambda member: bool(self.violation(member.filter)))
-        sigma = np.sqrt(verdict.seen.s.diagonal())
+        nu, sigma = verdict.seen.nu, np.sqrt(verdict.seen.s.diagonal())
         if verdict.fused:
             reason = Reason.FUSED
             self._note_absolute(aid, z)
@@ -466,17 +467,18 @@ class Tracker:
             reason = Reason.PROBATION if state.phase is Phase.STARTING else Reason.STOPPED
         alone = alone or isinstance(z, PartialPose)  # directions change from fix to fix: their sum is of nothing
         alone = alone or (aid.geodetic is not None and self._alone(aid, core.receivers))  # receivers share their slow error
-        state = state.judge(
-            aid.rules, aid.t_ns, alone=alone, passed=verdict.passed, fused=verdict.fused, nu=verdict.seen.nu, sigma=sigma
-        )
+        state = state.judge(aid.rules, aid.t_ns, alone=alone, passed=verdict.passed, fused=verdict.fused, nu=nu, sigma=sigma)
         if state.held_until_ns > aid.t_ns and trusted:
             core.hypotheses.leave(aid.witness)
         if not aid.weighs and not verdict.passed:
             state = state.held(aid.rules, aid.t_ns, alone=alone)
         ratio = verdict.used.distance2 / verdict.gate
         detail = aid.detail if reason is not Reason.GATED else "; ".join(filter(None, (aid.detail, self._conflict())))
-        position = position_innovation(z, verdict.seen.nu, verdict.seen.s) if aid.absolute else None
-        return Decision(reason, tuple(verdict.seen.nu.tolist()), tuple(sigma.tolist()), ratio, detail, position), state
+        off, sigmas = tuple(nu.tolist()), tuple(sigma.tolist())
+        position = (off[:_XYZ], sigmas[:_XYZ]) if aid.absolute else None
+        if isinstance(z, PartialPose):
+            position = position_innovation(z, nu, verdict.seen.s)
+        return Decision(reason, off, sigmas, ratio, detail, position), state
 
     def _note_between(self, aid: Aid, z: Measurement, seen: Innovation) -> None:
         apart = self.core.conflicts.apart

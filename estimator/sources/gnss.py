@@ -4,7 +4,7 @@ White covariance of the receiver, and slow considered errors (atmosphere, multip
 """
 
 import math
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import Annotated, TypeAlias
 
 import msgspec
@@ -16,7 +16,7 @@ from estimator.sources.base.covariance import covariance_refusal, with_default
 from estimator.sources.base.rules import RULES
 from models.frames import Origin
 from models.measurements import Position, Velocity
-from models.messages import GnssFix, GnssVelocity, Reason, ReceiverState
+from models.messages import Array, GnssFix, GnssVelocity, Reason, ReceiverState
 
 FLAGGED = "the receiver reports "  # begins the detail of a fix whose receiver has raised a flag
 _AXES = np.arange(3)
@@ -107,11 +107,6 @@ def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
     lever = np.array(config.antenna_b_m)
     is_jammed, is_spoofed = fix.state is ReceiverState.JAMMED, fix.state is ReceiverState.SPOOFED
     rules = _JAMMED if is_jammed else RULES["gnss"]
-
-    @cache  # a measurement that comes late has others done again
-    def measurement(origin: Origin | None) -> Position | None:
-        return None if origin is None else Position(np.array(origin.to_ned(*place)), noise, _AXES, lever)
-
     t_ns = fix.t_ns - round(config.delay_s * 1e9)
     return Aid(
         t_ns=t_ns,
@@ -122,7 +117,7 @@ def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
         rules=rules,
         absolute=True,
         log_false=log_false(rules, [FALSE_POSITION_M] * 3),
-        measurement=measurement,
+        measurement=lambda origin: None if origin is None else Position(_to_ned(origin, *place), noise, _AXES, lever),
         log_misled=math.log(1.0 - config.trust) if config.trust < 1.0 else None,
         slow_errors=_slow("gnss", config.slow_sigma_m, config.slow_s),
         geodetic=None if is_spoofed else place,
@@ -130,6 +125,11 @@ def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
         detail=f"{FLAGGED}jamming" if is_jammed else "",
         assumed=_NO_ACCURACY.format(f"horizontal_sigma_m {sigmas[0]:g}, vertical_sigma_m {sigmas[2]:g}") if is_assumed else "",
     )
+
+
+@lru_cache(maxsize=1024)  # a measurement that comes late has others done again
+def _to_ned(origin: Origin, lat_deg: float, lon_deg: float, alt_m: float) -> Array:
+    return np.array(origin.to_ned(lat_deg, lon_deg, alt_m))
 
 
 def _spoofed(_: Origin | None) -> Refusal:

@@ -12,7 +12,7 @@ from estimator.sources.base.aid import FALSE_POSITION_M, Aid, Refusal, SlowError
 from estimator.sources.base.covariance import covariance_refusal
 from estimator.sources.base.rules import RULES
 from estimator.sources.pose import FARTHEST_M, WHOLE, PoseConfig, lasting, pose_aid, pose_of, slow_errors_of
-from models.measurements import DIRECTION_SCALE, Measurement, PartialPose
+from models.measurements import DIRECTION_SCALE, PartialPose
 from models.messages import Array, LandmarkFix, Reason
 
 _ROUNDING = 1e-6  # of the directions' products
@@ -93,19 +93,15 @@ def _fixes_place(directions: Array) -> bool:
     return len(directions) >= 3 and bool(np.linalg.svd(directions[:, :3], compute_uv=False)[-1] > _FIXES_PLACE)
 
 
-def position_innovation(z: Measurement, nu: Array, s: Array) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
+def position_innovation(z: PartialPose, nu: Array, s: Array) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
     """Innovation and sigma of the position, (3,) NED m, of nu (r,), S (r, r); None without a whole position.
 
     D = R diag(scale) with R R^T = I: where R is square, scale (x_true (-) z) = R^T nu, and positions have the scale 1.
     """
-    if isinstance(z, PartialPose):
-        if len(z.directions) < _WHOLE_POSE:
-            return None
-        back = z.directions[:, :_XYZ].T
-        nu, s = back @ nu, back @ s @ back.T
-    elif len(nu) < _XYZ:
+    if len(z.directions) < _WHOLE_POSE:
         return None
-    return tuple(nu[:_XYZ].tolist()), tuple(map(math.sqrt, s.diagonal().tolist()[:_XYZ]))
+    back = z.directions[:, :_XYZ].T
+    return tuple((back @ nu).tolist()), tuple(map(math.sqrt, (back @ s @ back.T).diagonal().tolist()))
 
 
 def _seen_along(directions: Array, slow: SlowError) -> SlowError:

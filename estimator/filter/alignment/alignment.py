@@ -79,7 +79,7 @@ class Alignment:
         self.positions_until_ns = NEVER  # without velocities, after a filter that they may have misled
         self.begun_by, self.begun_ns = "", NEVER  # the source at whose position the newest filter begins, and its newest pose
         self.since_ns = NEVER  # when it was another one
-        self.direction: tuple[float, ...] = ()  # of the newest innovation of an absolute source during the alignment
+        self.direction = np.zeros(0)  # of the newest innovation of an absolute source during the alignment
         self.persisted = False  # it and the one before point the same way
         self.plausibility = Plausibility(Phase.STARTING, _NO_START)
 

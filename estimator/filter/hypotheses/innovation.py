@@ -25,15 +25,15 @@ def innovation(eskf: Eskf, aid: Aid, z: Measurement, gyro_b: Array) -> Innovatio
         carried.append((kept, z.by_origin(eskf.x)))
     eskf.slow = eskf.slow.used([block for block, _ in carried])  # first: none of them makes room for another one of them
     for slow, block in zip(aid.slow_errors, carried, strict=False):  # a kept pose, behind them, is there
-        known = eskf.slow.columns.get(slow.block)
-        if known and known.stop - known.start != len(slow.covariance):  # of another size than before: another error
-            eskf.forget(slow.block)
-        if slow.block not in eskf.slow.columns:
-            if oldest := eskf.slow.oldest(slow.block.rpartition("/")[0], MOST_OF_A_KIND):
-                eskf.forget(oldest)
-            eskf.consider(slow.block, slow.covariance, slow.tau_s, slow.walk)
-            if slow.walk is not None and not slow.starts_at_zero:
-                eskf.zero(slow.block, eskf.innovation(z, gyro_b, [block]))
+        if (known := eskf.slow.columns.get(slow.block)) is not None:
+            if known.stop - known.start == len(slow.covariance):
+                continue
+            eskf.forget(slow.block)  # of another size than before: another error
+        if oldest := eskf.slow.oldest(slow.block.rpartition("/")[0], MOST_OF_A_KIND):
+            eskf.forget(oldest)
+        eskf.consider(slow.block, slow.covariance, slow.tau_s, slow.walk)
+        if slow.walk is not None and not slow.starts_at_zero:
+            eskf.zero(slow.block, eskf.innovation(z, gyro_b, [block]))
     if isinstance(z, AirVelocity | DragForce):
         z = z.in_wind(eskf.slow.of(WIND))
         carried = [(block, z.by_scale(eskf.x) if is_scale(block) else jacobian) for block, jacobian in carried]

@@ -36,20 +36,19 @@ class Whiteness(NamedTuple):
     """Of the innovations of one source: e and m."""
 
     size: float = 1.0
-    mean: tuple[float, ...] = ()
+    mean: Array = np.zeros(0)
 
     def also(self, seen: Innovation, variance_factor: float) -> "Whiteness":
         """With one more."""
         dof = len(seen.nu)
         size = min(seen.distance2 * variance_factor / dof, _LARGEST)
-        before = self.mean if len(self.mean) == dof else (0.0,) * dof
-        root, towards = math.sqrt(size * dof), contradiction.direction(seen.nu, seen.s)
-        mean = tuple([m + _SHARE * (root * part - m) for m, part in zip(before, towards, strict=True)])
-        return Whiteness(self.size + _SHARE * (size - self.size), mean)
+        before = self.mean if len(self.mean) == dof else np.zeros(dof)
+        z = math.sqrt(size * dof) * contradiction.direction(seen.nu, seen.s)
+        return Whiteness(self.size + _SHARE * (size - self.size), before + _SHARE * (z - before))
 
     def is_wrong(self, probability: float) -> bool:
         """Whether they show a wrong motion; white ones do with 1 - probability."""
-        squared = sum(m * m for m in self.mean) * (2.0 - _SHARE) / _SHARE
+        squared = float(self.mean @ self.mean) * (2.0 - _SHARE) / _SHARE
         return _LARGER < self.size < _NOISE and squared > self.size * gate(probability, len(self.mean))
 
 

@@ -18,7 +18,5 @@ def cusum(sums: tuple[float, ...], nu: Array, sigma: Array, slack: float) -> tup
     """
     if len(sums) != 2 * len(nu):
         sums = (0.0,) * (2 * len(nu))
-    found: list[float] = []
-    for k, (n, s) in enumerate(zip(nu.tolist(), sigma.tolist(), strict=True)):
-        found += max(0.0, sums[2 * k] + (n / s - slack)), max(0.0, sums[2 * k + 1] + (-n / s - slack))
-    return tuple(found)
+    both = [side for n, s in zip(nu.tolist(), sigma.tolist(), strict=True) for side in (n / s, -n / s)]
+    return tuple([max(0.0, before + (side - slack)) for before, side in zip(sums, both, strict=True)])

@@ -75,8 +75,8 @@ def test_what_is_surely_wrong_raises_it_a_hundred_times_at_once_and_what_is_like
 def test_a_mean_counts_where_the_innovations_are_larger_than_noise_and_smaller_than_a_wrong_covariance(
     size: float, wrong: bool
 ) -> None:
-    assert Whiteness(size, (4.0, 0.0, 0.0, 0.0, 0.0, 0.0)).is_wrong(0.995) is wrong
-    assert not Whiteness(size, (0.1, 0.0, 0.0, 0.0, 0.0, 0.0)).is_wrong(0.995)
+    assert Whiteness(size, np.array([4.0, 0.0, 0.0, 0.0, 0.0, 0.0])).is_wrong(0.995) is wrong
+    assert not Whiteness(size, np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])).is_wrong(0.995)
 
 
 def test_the_biases_have_walked_before_it_was_noticed() -> None:
@@ -183,7 +183,7 @@ def test_every_hypothesis_has_the_larger_biases_at_once_when_the_motion_is_found
     assert tracker.core.hypotheses is not None
     lead = tracker.core.hypotheses.lead
     before = lead.cov.diagonal()[E.BG.start : E.BA.stop].copy()
-    tracker.bias_walk = BiasWalk({"/pose_fix": Whiteness(3.0, (4.0, 0.0, 0.0, 0.0, 0.0, 0.0))}, t_ns=t_ns - 2 * SECOND)
+    tracker.bias_walk = BiasWalk({"/pose_fix": Whiteness(3.0, np.array([4.0, 0.0, 0.0, 0.0, 0.0, 0.0]))}, t_ns=t_ns - 2 * SECOND)
     tracker._note_biases(aid_of(pose_fix(t_ns)), _seen(np.array([4.0, 0.0, 0.0, 0.0, 0.0, 0.0])))
     walked = tracker.bias_walk.walked(BiasWalk(), tracker.core.noise)
     assert tracker.bias_walk.factor == 100.0
