@@ -16,6 +16,7 @@ from models.messages import Array, Vec3
 
 EARTH_RATE = 7.292115e-5  # rad/s, WGS-84
 GRAVITY = 9.80665  # m/s^2, standard gravity, where the place on Earth is unknown
+GRAVITY_N = np.array([0.0, 0.0, GRAVITY])
 _EARTH_RADIUS = 6_378_137.0  # m, WGS-84 semi-major axis
 _E2 = 6.69437999014e-3  # WGS-84 first eccentricity squared
 _WGS84 = pymap3d.Ellipsoid.from_name("wgs84")

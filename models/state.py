@@ -17,6 +17,8 @@ from numba import njit
 from models import so3
 from models.messages import Array
 
+XYZ = 3  # components of a vector
+
 
 class X:
     """Packed: position n [m], velocity n [m/s], quaternion wxyz, gyro bias [rad/s], accel bias [m/s^2]."""

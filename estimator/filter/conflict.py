@@ -15,14 +15,13 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.sources.base.aid import Aid
-from estimator.sources.base.faults import MAP_ELSEWHERE, MAP_ELSEWHERE_M
+from estimator.sources.base.faults import MAP_ELSEWHERE, MAP_ELSEWHERE_M, RECENT_NS
 from estimator.sources.base.gating import gate
 from estimator.sources.base.similarity import Similarity
 from models.measurements import Measurement, Pose, Position
 from models.messages import Array
+from models.state import XYZ
 
-RECENT_NS = 10_000_000_000  # a source that gave a position since then is one to compare another with
-_XYZ = 3
 _STEADY = 0.5  # change of d from one reading to the next, of its size, of a source that agrees with itself
 _ENOUGH = 3  # such readings
 _RESOLVES = 3.0  # a source distinguishes two positions whose distance squared is larger than so many times its variance
@@ -73,7 +72,7 @@ class Apart(NamedTuple):
     @property
     def is_near(self) -> bool:
         """Whether it is near the estimate: small d^T S^-1 d."""
-        return self.distance2 <= gate(_NEAR, _XYZ)
+        return self.distance2 <= gate(_NEAR, XYZ)
 
     @property
     def distance2(self) -> float:
@@ -104,9 +103,9 @@ class Conflicts(NamedTuple):
     def compared(self, aid: Aid, z: Measurement, position_n: Array, *, disagrees: bool, lingers: bool = False) -> "Conflicts":
         """After a reading, estimate at position_n (3,) [m]; lingers: until the source is near."""
         before = self.apart.get(aid.topic)
-        if not (isinstance(z, Position | Pose) and len(z.z_n) == len(z.rows[:_XYZ])):
+        if not (isinstance(z, Position | Pose) and len(z.z_n) == len(z.rows[:XYZ])):
             return self.without(aid.topic)
-        off, s = z.z_n - position_n, z.noise[:_XYZ, :_XYZ]
+        off, s = z.z_n - position_n, z.noise[:XYZ, :XYZ]
         last = self.newest.get(aid.topic)
         path = last.path if last is not None else Similarity()
         if is_receiver := aid.geodetic is not None:
@@ -114,7 +113,7 @@ class Conflicts(NamedTuple):
         newest = {**self.newest, aid.topic: Offset(aid.t_ns, off, sum(s.diagonal().tolist()), is_receiver, path)}
         here = Conflicts(self.apart, self.contrary_ns, newest)
         if disagrees or (lingers and before):
-            s = s + sum(error.covariance for error in aid.slow_errors if len(error.covariance) == _XYZ)
+            s = s + sum(error.covariance for error in aid.slow_errors if len(error.covariance) == XYZ)
             is_steady = before is not None and np.linalg.norm(off - before.off) < _STEADY * np.linalg.norm(off)
             now = Apart(aid.t_ns, aid.t_ns, off, s, 0, False)
             if before is not None:
@@ -178,7 +177,7 @@ class Conflicts(NamedTuple):
 
     def added(self, shares: Mapping[str, float]) -> Array:
         """Added covariance of the position, (3, 3)."""
-        total = np.zeros((_XYZ, _XYZ))
+        total = np.zeros((XYZ, XYZ))
         for topic, apart in self.apart.items():
             if topic in shares or apart.lasts:
                 total += apart.added(shares.get(topic, apart.by_map))

@@ -25,10 +25,9 @@ from models import cholesky, imu, so3
 from models.measurements import Curved, Measurement, innovation_covariance, mahalanobis
 from models.messages import Array
 from models.relative_pose import POSE_ERROR, moved, pose_of
-from models.state import E, X, retract, sound
+from models.state import XYZ, E, X, retract, sound
 
 _WIDEST = 1.0  # rad: sigma of an attitude that is unknown
-_XYZ = 3
 NO_CLONES: dict[str, Array] = {}
 _ARITHMETIC = 1e-12  # epsilon: an update rounds P by less than this share of S; in SI units
 _LN_2PI = math.log(2.0 * math.pi)
@@ -233,7 +232,7 @@ class Eskf:
         self.slow = self.slow.moved(-error)
         pose, g = moved(self.clones[block], error[at.start - E.SIZE : at.stop - E.SIZE])
         self.clones = {**self.clones, block: pose}
-        turn = slice(at.start + _XYZ, at.stop)
+        turn = slice(at.start + XYZ, at.stop)
         self.cov[turn] = g @ self.cov[turn]
         self.cov[:, turn] = self.cov[:, turn] @ g.T
         cholesky.symmetrise(self.cov)

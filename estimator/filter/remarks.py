@@ -6,10 +6,11 @@ from collections.abc import Container, Iterable, Mapping
 
 import numpy as np
 
-from estimator.filter.conflict import RECENT_NS, Conflicts
+from estimator.filter.conflict import Conflicts
 from estimator.filter.hypotheses import Hypotheses
 from estimator.filter.mismatch import CONSTANTS, Frame, Scatters, Scores, score
 from estimator.filter.relative import drift
+from estimator.sources.base.faults import RECENT_NS
 from estimator.sources.base.machine import SourceState
 from estimator.sources.base.similarity import Similarity
 from estimator.sources.odometry import DRIFT, WRONG, drift_block

@@ -22,7 +22,7 @@ from estimator.filter.alignment import (
     lacks,
     widen_unaligned,
 )  # fmt: skip
-from estimator.filter.conflict import RECENT_NS, Conflicts
+from estimator.filter.conflict import Conflicts
 from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.hypotheses import Hypotheses, Hypothesis, Verdict
 from estimator.filter.imu_buffer import ImuBuffer
@@ -48,6 +48,7 @@ from estimator.filter.variance_factor import NO_EXCESS
 from estimator.sources.air.through_air import AirVelocity, DragForce
 from estimator.sources.base import held
 from estimator.sources.base.aid import Aid, Refusal
+from estimator.sources.base.faults import LONG_NS, RECENT_NS
 from estimator.sources.base.machine import Phase, SourceState
 from estimator.sources.gnss_anchor import GnssAnchor
 from estimator.sources.imu.choice import ImuAid
@@ -57,7 +58,7 @@ from models import imu
 from models.frames import Origin
 from models.measurements import Conditional, Heading, Measurement, PartialPose, Pose, Position, Velocity
 from models.messages import Array, Checkpoint, Mode, Reason
-from models.state import E, X
+from models.state import XYZ, E, X
 
 _ALWAYS_NS = 2**62
 _NO_PLACE = "give [map] origin to use GNSS or a magnetometer together with fixes on a local map"
@@ -65,10 +66,7 @@ _UNKNOWN = SourceState()
 _SPOOFED = "its receiver reports spoofing"
 _NO_RATE = np.zeros(3)
 _FOR_ALIGNED = "odometry is used once aligned"
-_PULLED_NS = 60_000_000_000  # a receiver whose speed has stepped is compared with a source that was fused since then
-_LOST_NS = 60_000_000_000  # an IMU gap after which the alignment begins again
 _NOT_YET = "used once the attitude is known: false axes would mislead the alignment"
-_XYZ = 3
 _REFUTED = 2  # positions in a row
 
 
@@ -208,7 +206,7 @@ class Tracker:
             core.origin, self.place = Origin(*checkpoint.origin), checkpoint.origin
             core.constants = imu.constants(core.noise, core.config.coast, core.origin)
         lead = Eskf(checkpoint.t_ns, checkpoint.nav.copy(), checkpoint.covariance.copy(), core.constants)
-        since_ns = max(checkpoint.last_absolute_ns, checkpoint.t_ns - _LOST_NS)
+        since_ns = max(checkpoint.last_absolute_ns, checkpoint.t_ns - LONG_NS)
         core.hypotheses = Hypotheses([Hypothesis(lead, fused_ns=since_ns, run=1, run_ns=since_ns)])
         core.is_aligned = True
         if (last := checkpoint.last_gnss) is not None:
@@ -268,7 +266,7 @@ class Tracker:
     def propagate(self, samples: ImuBuffer, to_ns: int) -> None:
         """Propagate through the IMU samples to `to_ns`; the state is given up after a minute without any."""
         core = self.core
-        if to_ns - core.t_ns > _LOST_NS:
+        if to_ns - core.t_ns > LONG_NS:
             self.alignment.lose()
         for member in self.alignment.members:
             if (since_ns := member.filter.t_ns) < to_ns:  # longer ago for one that does not show (Quiet)
@@ -349,7 +347,7 @@ class Tracker:
         if aid.absolute:
             core.absolute |= {aid.topic}
             core.receivers |= {aid.topic} if aid.geodetic else set()
-        gyro_b = core.sample_now(samples)[:_XYZ] if aid.uses_rate else _NO_RATE  # no other measurement asks for it
+        gyro_b = core.sample_now(samples)[:XYZ] if aid.uses_rate else _NO_RATE  # no other measurement asks for it
         self.alignment.check_sensor(aid, z, samples, gyro_b)
         if core.hypotheses is None or not core.is_aligned:
             if isinstance(z, Velocity):
@@ -475,14 +473,14 @@ class Tracker:
         ratio = verdict.used.distance2 / verdict.gate
         detail = aid.detail if reason is not Reason.GATED else "; ".join(filter(None, (aid.detail, self._conflict())))
         off, sigmas = tuple(nu.tolist()), tuple(sigma.tolist())
-        position = (off[:_XYZ], sigmas[:_XYZ]) if aid.absolute else None
+        position = (off[:XYZ], sigmas[:XYZ]) if aid.absolute else None
         if isinstance(z, PartialPose):
             position = position_innovation(z, nu, verdict.seen.s)
         return Decision(reason, off, sigmas, ratio, detail, position), state
 
     def _note_between(self, aid: Aid, z: Measurement, seen: Innovation) -> None:
         apart = self.core.conflicts.apart
-        if not aid.absolute or aid.geodetic or not isinstance(z, Pose | Position) or len(z.z_n) != len(z.rows[:_XYZ]):
+        if not aid.absolute or aid.geodetic or not isinstance(z, Pose | Position) or len(z.z_n) != len(z.rows[:XYZ]):
             return
         if aid.topic not in apart or apart[aid.topic].agrees:
             self.means = between.noted(self.means, aid.topic, aid.t_ns, seen.nu, z.noise)
@@ -553,7 +551,7 @@ class Tracker:
 
     def _in_other_frame(self, aid: Aid, z: Measurement, samples: ImuBuffer) -> str:
         """What the fixes of the source give in place of north, east and down in metres; "" for nothing."""
-        if not (aid.absolute and isinstance(z, Pose) and z.attitude == "full" and len(z.rows) == 2 * _XYZ):
+        if not (aid.absolute and isinstance(z, Pose) and z.attitude == "full" and len(z.rows) == 2 * XYZ):
             return ""
         known = self.frames.get(aid.topic)
         now = Frame.of(aid.t_ns, z.z_n, z.q_nb_wxyz) if known is None else known.also(aid.t_ns, z.z_n, z.q_nb_wxyz, samples)
@@ -580,7 +578,7 @@ class Tracker:
     def _vouched(self, aid: Aid) -> bool:
         """Whether another source gave positions lately, or since a receiver's speed has stepped: an IMU's error grows."""
         others, step = self.core.absolute - {aid.topic}, self.speed_steps.get(aid.topic)
-        within_ns = _PULLED_NS if step is not None and step.is_open else RECENT_NS
+        within_ns = LONG_NS if step is not None and step.is_open else RECENT_NS
         return any(aid.t_ns - self.sources.get(topic, _UNKNOWN).fused_ns < within_ns for topic in others)
 
     def _note_absolute(self, aid: Aid, z: Measurement) -> None:
@@ -590,6 +588,6 @@ class Tracker:
         core.last_absolute_ns = aid.t_ns
         if aid.geodetic and core.hypotheses is not None:
             lead = core.hypotheses.lead
-            sigma = math.sqrt(max(z.noise.diagonal().tolist()[: _XYZ - 1]))
+            sigma = math.sqrt(max(z.noise.diagonal().tolist()[: XYZ - 1]))
             speed = math.hypot(*lead.x[X.V].tolist()) + math.sqrt(sum(lead.cov.diagonal()[E.V].tolist()))
             self.anchor = GnssAnchor(aid.geodetic, aid.t_ns, sigma, speed)

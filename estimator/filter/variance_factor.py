@@ -13,15 +13,15 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
-from estimator.sources.base.gating import gate
+from estimator.sources.base.faults import RECENT_S
+from estimator.sources.base.gating import USUAL, gate
 
 _WINDOW, _FEWEST = 7, 5  # readings of a topic
-_USUAL, _RARE = 0.96, 0.02  # shares of good readings below an unusual median, and below what two of seven hardly are
+_RARE = 0.02  # share of good readings below what two of seven hardly are
 LARGEST = 20.0  # more is no noise: a false fix, or an IMU whose axes are wrong
 LARGEST_AT_FIRST = 1e4  # before the model has been right for a while, it is what may be wrong
 _ENOUGH = 20  # readings in a row
 _FADES_S, _LASTS_S, _GONE = 30.0, 120.0, 1.01
-_SILENT_S = 10.0  # a source that is silent for longer has no say
 
 
 class Recent(NamedTuple):
@@ -54,7 +54,7 @@ class VarianceFactor(NamedTuple):
         ratio, ratios = distance2 / gate(0.5, dof), before.ratios if before else ()
         if ratio <= largest:
             ratios = (*ratios[1 - _WINDOW :], ratio)
-        recent = {name: r for name, r in self.recent.items() if (t_ns - r.t_ns) * 1e-9 < _SILENT_S}
+        recent = {name: r for name, r in self.recent.items() if (t_ns - r.t_ns) * 1e-9 < RECENT_S}
         recent[topic] = Recent(t_ns, ratios, _excess(ratios, dof))
         excess = min([r.excess for r in recent.values()])
         seconds = (t_ns - self.t_ns) * 1e-9
@@ -70,7 +70,7 @@ def _excess(ratios: tuple[float, ...], dof: int) -> float:
         return 1.0
     ordered, m_50 = sorted(ratios), gate(0.5, dof)
     middle = ordered[(len(ordered) - 1) // 2]
-    return max(min(middle, ordered[1] / (gate(_RARE, dof) / m_50)), 1.0) if middle > gate(_USUAL, dof) / m_50 else 1.0
+    return max(min(middle, ordered[1] / (gate(_RARE, dof) / m_50)), 1.0) if middle > gate(USUAL, dof) / m_50 else 1.0
 
 
 def _faded(factor: float, seconds: float, over_s: float) -> float:

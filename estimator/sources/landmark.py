@@ -14,10 +14,11 @@ from estimator.sources.base.rules import RULES
 from estimator.sources.pose import FARTHEST_M, WHOLE, PoseConfig, lasting, pose_aid, pose_of, slow_errors_of
 from models.measurements import DIRECTION_SCALE, PartialPose
 from models.messages import Array, LandmarkFix, Reason
+from models.state import XYZ
 
 _ROUNDING = 1e-6  # of the directions' products
 _LARGEST = 1e12  # m^2 or rad^2: no variance is larger
-_XYZ, _WHOLE_POSE = 3, 6
+_WHOLE_POSE = 6
 _FIXES_PLACE = 0.05  # smallest gain from position to reading with which, the attitude known, the position is known
 
 
@@ -100,7 +101,7 @@ def position_innovation(z: PartialPose, nu: Array, s: Array) -> tuple[tuple[floa
     """
     if len(z.directions) < _WHOLE_POSE:
         return None
-    back = z.directions[:, :_XYZ].T
+    back = z.directions[:, :XYZ].T
     return tuple((back @ nu).tolist()), tuple(map(math.sqrt, (back @ s @ back.T).diagonal().tolist()))
 
 

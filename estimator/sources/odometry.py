@@ -25,8 +25,9 @@ from estimator.sources.base.rules import RULES, Rules
 from models import so3
 from models.messages import Array, OdometryDelta, OdometryPose, Reason
 from models.relative_pose import RelativePose, between
+from models.state import XYZ
 
-_XYZ, _SIX = 3, 6
+_SIX = 6
 _NOT_GIVEN_M2, _NOT_GIVEN_RAD2 = 9e4, 10.0
 _FASTEST_M_S, _FARTHEST_M = 500.0, 1e7
 _CUSUM_LIMIT = 8.0  # sigma
@@ -159,7 +160,7 @@ def increment_aid(delta: OdometryDelta, config: OdometryConfig) -> Aid | Refusal
     place = order(t_ns, "odometry", delta.topic, f"{t0_ns} {epoch}".encode(), dp.tobytes(), q.tobytes(), covariance.tobytes())
     name = place[-1]
     of_cameras = delta.systematic is not None and len(rows) == _SIX
-    reported = covariance * config.noise_scale**2 if of_cameras and np.trace(covariance[:_XYZ, :_XYZ]) > 0.0 else None
+    reported = covariance * config.noise_scale**2 if of_cameras and np.trace(covariance[:XYZ, :XYZ]) > 0.0 else None
     end = Increment(name, RelativePose(dp, q, noise, rows), reported)
     begin = _aid(t0_ns, delta, (t0_ns, "odometry_begin", delta.topic, name), Begins(t_ns, name, epoch), "odometry_begin")
     return _aid(t_ns, delta, place, end, "odometry", (*_lasting(delta.topic, dp, config), *errors), begin, rows)
@@ -172,16 +173,16 @@ def odometry_pose_aid(reading: OdometryPose, config: OdometryConfig) -> Aid | Re
         since_ns, lost = t_ns - _SAME_NS, Lost(t_ns + _SAME_NS)
         return _aid(since_ns, reading, order(since_ns, "odometry", reading.topic, b"lost"), lost, "odometry")
     pose = np.array((*reading.p_o, *reading.q_ob_wxyz), dtype=float)
-    if refusal := _motion_refusal(pose[:_XYZ], pose[_XYZ:], None, config):
+    if refusal := _motion_refusal(pose[:XYZ], pose[XYZ:], None, config):
         return refusal
-    pose[_XYZ:] /= np.linalg.norm(pose[_XYZ:])
+    pose[XYZ:] /= np.linalg.norm(pose[XYZ:])
     rows = np.array([k for k, name in enumerate(_NAMES) if name in config.rows])
 
     def since(before: Array) -> tuple[RelativePose, tuple[SlowError, ...]]:
         step = between(before, pose)
-        dp = step[:_XYZ]
+        dp = step[:XYZ]
         noise = np.diag(_sigmas(config, float(np.linalg.norm(dp)))[rows] ** 2)
-        return RelativePose(dp, step[_XYZ:], noise, rows), (
+        return RelativePose(dp, step[XYZ:], noise, rows), (
             *_lasting(reading.topic, dp, config),
             *_scale(reading.topic, dp, config),
         )
@@ -210,7 +211,7 @@ def _aid(
         order=place,
         rules=RULES["odometry"],
         absolute=False,
-        log_false=log_false(RULES["odometry"], [_FALSE_M if k < _XYZ else _FALSE_RAD for k in given]),
+        log_false=log_false(RULES["odometry"], [_FALSE_M if k < XYZ else _FALSE_RAD for k in given]),
         measurement=lambda _: z,
         slow_errors=errors,
         begin=begin,
@@ -232,19 +233,19 @@ def _motion_refusal(p: Array, q: Array, seconds: float | None, config: OdometryC
 
 
 def _given(covariance: Array) -> _Rows:
-    variances, largest = covariance.diagonal(), np.repeat((_NOT_GIVEN_M2, _NOT_GIVEN_RAD2), _XYZ)
+    variances, largest = covariance.diagonal(), np.repeat((_NOT_GIVEN_M2, _NOT_GIVEN_RAD2), XYZ)
     return np.flatnonzero((variances >= 0.0) & (variances < largest))
 
 
 def _sigmas(config: OdometryConfig, length_m: float) -> Array:
     position = math.hypot(config.position_sigma_m, config.position_share * length_m)
-    return np.repeat((position, math.radians(config.attitude_sigma_deg)), _XYZ)
+    return np.repeat((position, math.radians(config.attitude_sigma_deg)), XYZ)
 
 
 def _lasting(topic: str, dp: Array, config: OdometryConfig) -> tuple[SlowError, ...]:
     if not config.lasting_share:
         return ()
-    moved = np.repeat((config.lasting_share * float(np.linalg.norm(dp)), 0.0), _XYZ)
+    moved = np.repeat((config.lasting_share * float(np.linalg.norm(dp)), 0.0), XYZ)
     return (SlowError(f"{topic}.lasting", np.eye(_SIX), config.lasting_s, np.diag(moved)),)
 
 
@@ -253,7 +254,7 @@ def _scale(topic: str, dp: Array, config: OdometryConfig) -> tuple[SlowError, ..
     if not config.scale_sigma:
         return ()
     variance = np.array([[config.scale_sigma**2]])
-    jacobian = np.concatenate((dp, np.zeros(_XYZ)))[:, None]
+    jacobian = np.concatenate((dp, np.zeros(XYZ)))[:, None]
     return (SlowError(scale_block(topic), variance, math.inf, jacobian, variance[0] / _SCALE_HOLDS_S, starts_at_zero=True),)
 
 
@@ -277,7 +278,7 @@ def widened(
 
         C <- f C,   f = (b / sigma)^2,   J_l J_l^T <- J_l J_l^T + f C  where b > 3 a
     """
-    sigma_m = math.sqrt(float(np.trace(reported[:_XYZ, :_XYZ])))
+    sigma_m = math.sqrt(float(np.trace(reported[:XYZ, :XYZ])))
     least_m, most_m = min(spread_m[0], sigma_m), max(spread_m[1], sigma_m)
     factor = (most_m / sigma_m) ** 2
     shared = (factor if most_m > _USUAL * least_m else 0.0) * reported + np.eye(_SIX) * _NOTHING
@@ -314,9 +315,9 @@ def drifting(aid: OdometryAid, origin: Array, seconds: float) -> OdometryAid:
 
     dp_measured = dp + R_0^T d dt,   sigma_d = DRIFT_M_S in each axis
     """
-    moved = np.zeros((_SIX, _XYZ))
-    moved[:_XYZ] = so3.matrix(origin[_XYZ:]).T * seconds
-    drift = SlowError(drift_block(aid.topic), np.eye(_XYZ) * DRIFT_M_S**2, _DRIFTS_S, moved)
+    moved = np.zeros((_SIX, XYZ))
+    moved[:XYZ] = so3.matrix(origin[XYZ:]).T * seconds
+    drift = SlowError(drift_block(aid.topic), np.eye(XYZ) * DRIFT_M_S**2, _DRIFTS_S, moved)
     return replace(aid, slow_errors=(*aid.slow_errors, drift))
 
 
@@ -341,7 +342,7 @@ def jumped(kept: Kept, t_ns: int, pose: Array) -> tuple[float, Array | None]:
         return 0.0, None
     since_ns, before, velocity = kept.newest
     dt = (t_ns - since_ns) * 1e-9
-    moved = pose[:_XYZ] - before[:_XYZ]
+    moved = pose[:XYZ] - before[:XYZ]
     off = 0.0 if velocity is None else float(np.linalg.norm(moved - velocity * dt))
     return off if off > _JUMP_M + _JUMP_M_S2 * dt * dt else 0.0, moved / dt
 

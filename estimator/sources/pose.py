@@ -17,9 +17,9 @@ from estimator.sources.base.rules import RULES
 from models import so3
 from models.measurements import Measurement, Pose
 from models.messages import Array, LandmarkFix, PoseFix, Quat, Reason
-from models.state import X
+from models.state import XYZ, X
 
-_XYZ, _SIX = 3, 6
+_SIX = 6
 _NOT_GIVEN_M2, _NOT_GIVEN_RAD2 = 9e4, 10.0
 FARTHEST_M = 1e6
 _MOST_LANDMARKS, _MOST_ERRORS = 8, 8  # in one fix, and of each
@@ -112,7 +112,7 @@ def _bits(cov: Array, least: float) -> int:
     """Bit i: variance i is neither below the least nor "not given"."""
     bits = 0
     for i in range(min(_SIX, cov.shape[0])):
-        if least <= cov[i, i] < (_NOT_GIVEN_M2 if i < _XYZ else _NOT_GIVEN_RAD2):
+        if least <= cov[i, i] < (_NOT_GIVEN_M2 if i < XYZ else _NOT_GIVEN_RAD2):
             bits |= 1 << i
     return bits
 
@@ -120,9 +120,9 @@ def _bits(cov: Array, least: float) -> int:
 @cache
 def _given(bits: int) -> Given:
     mask = tuple(bool(bits >> i & 1) for i in range(_SIX))
-    widths = [FALSE_POSITION_M] * _XYZ + [FALSE_ATTITUDE_RAD] * _XYZ
-    attitude, known = _ATTITUDES.get(mask[_XYZ:]), tuple(compress(widths, mask))
-    return Given(np.array(mask), np.flatnonzero(mask), attitude, known, all(mask[:_XYZ]))
+    widths = [FALSE_POSITION_M] * XYZ + [FALSE_ATTITUDE_RAD] * XYZ
+    attitude, known = _ATTITUDES.get(mask[XYZ:]), tuple(compress(widths, mask))
+    return Given(np.array(mask), np.flatnonzero(mask), attitude, known, all(mask[:XYZ]))
 
 
 WHOLE = _given((1 << _SIX) - 1)
@@ -134,7 +134,7 @@ def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
     if covariance.shape != (6, 6):
         return Refusal(Reason.MALFORMED, "covariance is not 6 x 6")
     if _is_forgotten(fix.q_nb_wxyz, covariance):
-        covariance[_XYZ:, _XYZ:] = np.nan
+        covariance[XYZ:, XYZ:] = np.nan
     given = given_components(covariance)
     if given.attitude is None or not given.widths:
         return Refusal(Reason.UNSUPPORTED, "attitude is given whole, as roll and pitch, as yaw, or not at all")
@@ -176,14 +176,14 @@ def pose_aid(fix: PoseFix | LandmarkFix, config: PoseConfig) -> Aid | Refusal:
 
 def _is_forgotten(q: Quat, covariance: Array) -> bool:
     """An attitude without accuracy as in an unfilled message: none, or along n or map."""
-    if covariance[_XYZ, _XYZ]:  # nearly every call
+    if covariance[XYZ, XYZ]:  # nearly every call
         return False
-    return not covariance[_XYZ:, _XYZ:].any() and any(math.dist(q, blank) < _ROUNDING for blank in _BLANK)
+    return not covariance[XYZ:, XYZ:].any() and any(math.dist(q, blank) < _ROUNDING for blank in _BLANK)
 
 
 @cache
 def _default_sigmas(position_m: float, attitude_deg: float) -> Array:
-    return np.array([position_m] * _XYZ + [math.radians(attitude_deg)] * _XYZ)
+    return np.array([position_m] * XYZ + [math.radians(attitude_deg)] * XYZ)
 
 
 def pose_of(fix: PoseFix | LandmarkFix, given: Given) -> tuple[Array, Array] | Refusal:
@@ -191,7 +191,7 @@ def pose_of(fix: PoseFix | LandmarkFix, given: Given) -> tuple[Array, Array] | R
     q = fix.q_nb_wxyz if given.attitude != "none" else _LEVEL
     p_n: tuple[float, ...] = fix.p_n
     if not given.place:
-        p_n = tuple(value if is_given else 0.0 for value, is_given in zip(p_n, given.mask.tolist()[:_XYZ], strict=True))
+        p_n = tuple(value if is_given else 0.0 for value, is_given in zip(p_n, given.mask.tolist()[:XYZ], strict=True))
     w, x, y, z = q
     norm = math.sqrt(w * w + x * x + y * y + z * z)
     if not math.isfinite(norm) or not all(map(math.isfinite, p_n)):

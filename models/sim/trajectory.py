@@ -19,7 +19,7 @@ from numba import njit
 from scipy.interpolate import BSpline
 
 from models import so3
-from models.frames import GRAVITY
+from models.frames import GRAVITY, GRAVITY_N
 from models.messages import Array
 from models.sim.air import Air
 from models.sim.ranges import NotNegative, Positive, Share, ascending
@@ -27,7 +27,6 @@ from models.sim.ranges import NotNegative, Positive, Share, ascending
 _DEGREE = 7
 _KNOT_S = 0.8  # s between knots: a reversal of leg at 8 m/s becomes a tilt of about 45 degrees
 _REST_S = 3.0  # on the ground after a landing
-_GRAVITY_N = np.array([0.0, 0.0, GRAVITY])  # what "thrust" is measured against; the sensors use gravity at the place
 
 
 Waypoint: TypeAlias = tuple[float, float, float, float, float]  # t, north, east, down, yaw
@@ -195,7 +194,7 @@ def _spline(points: Array) -> BSpline:
 
 
 def _thrust_vectored(a: Array, jerk: Array, yaw: Array, yaw_rate: Array) -> tuple[Array, Array]:
-    z, dz = _unit(_GRAVITY_N - a, -jerk)
+    z, dz = _unit(GRAVITY_N - a, -jerk)
     zero = np.zeros_like(yaw)
     heading = np.column_stack([np.cos(yaw), np.sin(yaw), zero])
     dheading = yaw_rate[:, None] * np.column_stack([-np.sin(yaw), np.cos(yaw), zero])
@@ -206,7 +205,7 @@ def _thrust_vectored(a: Array, jerk: Array, yaw: Array, yaw_rate: Array) -> tupl
 
 def _coordinated(through_air: Array, change: Array, a: Array, jerk: Array) -> tuple[Array, Array]:
     x, dx = _unit(through_air, change)
-    y, dy = _unit(*_cross(x, dx, a - _GRAVITY_N, jerk))
+    y, dy = _unit(*_cross(x, dx, a - GRAVITY_N, jerk))
     z, dz = _cross(x, dx, y, dy)
     return _frame(x, dx, y, dy, z, dz)
 

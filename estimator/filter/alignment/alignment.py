@@ -29,7 +29,7 @@ from estimator.sources.imu.plausibility import Plausibility, stream_plausibility
 from models import so3
 from models.measurements import Heading, Measurement, Pose, Position, Velocity
 from models.messages import Array, Reason
-from models.state import E, X
+from models.state import XYZ, E, X
 
 NO_POSITION = "waiting for a position"
 WRONG_SENSOR = "its heading does not agree with the motion: wrong axes or mounting, or iron near it"
@@ -46,7 +46,6 @@ _WRONG_NS = 30_000_000_000  # a heading that motion has refuted is not asked for
 _UNDECIDED_NS = 600_000_000_000  # nor are two that differ
 _FRESH_NS = 2_000_000_000  # a prior attitude is of now
 _TRIED_NS = 10_000_000_000  # a source of poses that has not aligned the filter by then lets another one try
-_XYZ = 3
 _LARGEST_NOISE = math.radians(30.0)  # a larger innovation of attitude is not the noise of a fix
 _MOVED_SIGMA = 4.0  # positions that differ by more are of a vehicle that moves
 
@@ -437,10 +436,10 @@ class Alignment:
 
 
 def _contradicts_attitude(z: Measurement, seen: Innovation) -> bool:
-    return isinstance(z, Pose) and z.attitude == "full" and float(np.linalg.norm(seen.nu[_XYZ:])) > _LARGEST_NOISE
+    return isinstance(z, Pose) and z.attitude == "full" and float(np.linalg.norm(seen.nu[XYZ:])) > _LARGEST_NOISE
 
 
 def _differ(z: Position | Pose, first: Position | Pose) -> bool:
-    axes = slice(0, _XYZ)
+    axes = slice(0, XYZ)
     sigma = np.sqrt(np.diag(z.noise)[axes] + np.diag(first.noise)[axes])
     return not bool((np.abs(z.z_n - first.z_n) < _MOVED_SIGMA * sigma).all())

@@ -15,19 +15,19 @@ from estimator.filter.hypotheses.hypothesis import MARGIN, Hypothesis
 from estimator.sources.base.aid import FALSE_ATTITUDE_RAD, Aid
 from estimator.sources.base.gating import gate
 from models.measurements import Measurement, Pose
+from models.state import XYZ
 
-_XYZ = 3
 _KNOWN = 5.0  # tr S / tr R
 
 
 def taken(members: list[Hypothesis], aid: Aid, z: Measurement, seen: list[Innovation], whole: list[bool]) -> list[Innovation]:
     """What counts of a reading, by hypothesis; whole: all of it is inside the gate."""
-    turns = len(z.rows) - _XYZ
-    if not (isinstance(z, Pose) and turns > 0 and int(z.rows[_XYZ - 1]) == _XYZ - 1):
+    turns = len(z.rows) - XYZ
+    if not (isinstance(z, Pose) and turns > 0 and int(z.rows[XYZ - 1]) == XYZ - 1):
         return seen
     if all(whole) and not any(m.turned for m in members):  # most of the time
         return seen
-    parts, counts = [by_member.first(_XYZ) for by_member in seen], seen.copy()
+    parts, counts = [by_member.first(XYZ) for by_member in seen], seen.copy()
     true = max((a.log_likelihood - p.log_likelihood for a, p, w in zip(seen, parts, whole, strict=True) if w), default=-math.inf)
     false = math.log(aid.rules.false_share) - turns * math.log(2.0 * FALSE_ATTITUDE_RAD)
     for k, (member, part) in enumerate(zip(members, parts, strict=True)):
@@ -44,4 +44,4 @@ def taken(members: list[Hypothesis], aid: Aid, z: Measurement, seen: list[Innova
 def _confirms(part: Innovation, aid: Aid) -> bool:
     """Whether the position was known, and fits; to one that was not known any false fix does."""
     is_known = float(part.s.trace()) < _KNOWN * float(part.noise.trace())
-    return is_known and part.distance2 <= gate(aid.rules.gate_probability, _XYZ)
+    return is_known and part.distance2 <= gate(aid.rules.gate_probability, XYZ)

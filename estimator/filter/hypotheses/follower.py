@@ -12,7 +12,7 @@ import numpy as np
 from estimator.filter.hypotheses.hypothesis import MARGIN, Hypothesis
 from estimator.filter.hypotheses.innovation import innovation
 from estimator.sources.base.aid import Aid
-from estimator.sources.base.faults import lasts_s
+from estimator.sources.base.faults import LONG_S, lasts_s
 from models import imu
 from models.measurements import Measurement
 from models.messages import Array
@@ -20,7 +20,6 @@ from models.state import E, X
 
 AGAIN_S = 0.4  # a fix that is refused again costs 1 / AGAIN_S a second, ln
 _RECEIVER_S = 0.8  # the same of a receiver alone, whose readings share their error: a barometer has its say
-_CONFIRMED_S = 60.0  # a run that another source confirms wins against a shorter one, up to this length
 _UNSEEN_S, _FORGOTTEN_S = 0.5, 5.0  # a wrong IMU has been so since the last fix, within these limits
 _LIKELY = 0.25  # share of the unknown motion within which an IMU that is wrong explains a fix
 _SEEN = 3.0  # ln: so far behind the leading one a new follower counts in the covariance
@@ -73,7 +72,7 @@ def behind(lead: Hypothesis, aid: Aid, *, vouched: bool, by_imu: bool) -> float:
     holds_s = confirmed_s = lead.holds_s(aid.t_ns, imu_may_be_wrong=by_imu)
     pace_s = again_s(lead, aid, vouched=vouched)
     if pace_s > _RECEIVER_S:  # another source confirms it
-        confirmed_s = max(holds_s, min((lead.fused_ns - lead.run_ns) * 1e-9, _CONFIRMED_S))
+        confirmed_s = max(holds_s, min((lead.fused_ns - lead.run_ns) * 1e-9, LONG_S))
     return MARGIN - max(holds_s / AGAIN_S, confirmed_s / pace_s)
 
 

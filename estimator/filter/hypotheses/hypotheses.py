@@ -26,10 +26,9 @@ from estimator.filter.hypotheses.evidence import Evidence, weighed
 from estimator.filter.hypotheses.follower import AGAIN_S
 from estimator.filter.hypotheses.hypothesis import FORGET, MARGIN, RUN_ENDS_S, SENSORS, Doubt, Hypothesis
 from estimator.filter.hypotheses.innovation import innovation
-from estimator.filter.hypotheses.left_out import LEFT_OUT_S
 from estimator.filter.hypotheses.mixture import covariance
 from estimator.sources.base.aid import Aid
-from estimator.sources.base.faults import lasts_s
+from estimator.sources.base.faults import LONG_S, lasts_s
 from estimator.sources.base.gating import gate
 from models.measurements import Measurement
 from models.messages import Array
@@ -347,7 +346,7 @@ class Hypotheses:
             lead = best
             lead.benefit = 0.0
             self.switches += 1
-        kept = [m for m in others if m.omits_more_than(lead) and (t_ns - m.fused_ns) * 1e-9 < LEFT_OUT_S]
+        kept = [m for m in others if m.omits_more_than(lead) and (t_ns - m.fused_ns) * 1e-9 < LONG_S]
         others = [m for m in others if not m.omits_more_than(lead) and m.matters_beside(lead) and not m.has_settled(t_ns)]
         others.sort(key=lambda m: -(m.weight + m.benefit))
         if newborn in others[_MOST - 1 :]:
@@ -373,4 +372,4 @@ class Hypotheses:
 
     def _is_decided(self, aid: Aid) -> bool:
         lead = self.members[0]
-        return aid.topic in lead.decided and (aid.t_ns - lead.fused_ns) * 1e-9 < LEFT_OUT_S
+        return aid.topic in lead.decided and (aid.t_ns - lead.fused_ns) * 1e-9 < LONG_S

@@ -14,15 +14,13 @@ from estimator.filter.eskf import Innovation
 from estimator.filter.hypotheses.hypothesis import RUN_ENDS_S, SENSORS, Doubt, Hypothesis
 from estimator.filter.hypotheses.innovation import innovation
 from estimator.sources.base.aid import Aid
+from estimator.sources.base.faults import LONG_S, RECENT_S
 from models.measurements import Measurement
 from models.messages import Array
 from models.state import E
 
-LEFT_OUT_S = 60.0  # without a fix for so long, a hypothesis without the receiver no longer serves
 _PULL_M_S = 2.0  # by which a misled receiver may have moved the velocity
-_UNAIDED_S = 10.0  # without a fix for so long, a receiver that agrees is better than none
 _SENSOR_WRONG = math.log(0.01)  # one of the sensors is wrong
-_AGREED_S = 10.0  # of positions that pass the gate, after which a receiver is followed again
 
 
 def add(members: list[Hypothesis], aid: Aid) -> bool:
@@ -40,7 +38,7 @@ def add_at_fix(members: list[Hypothesis], at_fix: Hypothesis, aid: Aid) -> None:
     receiver = members[0].receiver
     if receiver is None or aid.log_misled is not None or any(m.without == receiver[0] for m in members):
         return
-    if (aid.t_ns - members[0].refuted_ns) * 1e-9 > LEFT_OUT_S:
+    if (aid.t_ns - members[0].refuted_ns) * 1e-9 > LONG_S:
         members.append(_without(at_fix, *receiver, aid.t_ns))
         members[-1].weight += members[0].weight
         members[-1].benefit = members[0].weight - members[-1].weight  # until the next fix both count alike
@@ -98,7 +96,7 @@ def _without(hypothesis: Hypothesis, topic: str, log_misled: float, t_ns: int) -
 
 def is_confirmed(lead: Hypothesis, aid: Aid) -> bool:
     """The leading hypothesis leaves this receiver out, and fixes confirm it."""
-    aided = (aid.t_ns - lead.fused_ns) * 1e-9 <= _UNAIDED_S
+    aided = (aid.t_ns - lead.fused_ns) * 1e-9 <= RECENT_S
     return lead.without == aid.witness and aided and not lead.rejected - {lead.without}
 
 
@@ -112,7 +110,7 @@ def end(lead: Hypothesis, aid: Aid, *, passed: bool) -> None:
     lead.agreed_ns = (aid.t_ns if lead.agreed_ns is None else lead.agreed_ns) if passed else None
     if lead.agreed_ns is None:
         return
-    if not is_confirmed(lead, aid) or (aid.t_ns - lead.agreed_ns) * 1e-9 >= _AGREED_S:
+    if not is_confirmed(lead, aid) or (aid.t_ns - lead.agreed_ns) * 1e-9 >= RECENT_S:
         lead.without, lead.agreed_ns = "", None
         lead.doubts.pop(aid.topic, None)
 

@@ -12,13 +12,14 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from estimator.filter.conflict import RECENT_NS
+from estimator.sources.base.faults import RECENT_NS
 from models.messages import Array
+from models.state import XYZ
 
 _GAIN = 0.1
 _NOISE = _GAIN / (2.0 - _GAIN)
 _SHOWN = 3.0  # times the noise of a mean
-_XYZ, _TINY = 3, 1e-12
+_TINY = 1e-12
 
 
 class Mean(NamedTuple):
@@ -40,8 +41,8 @@ Means: TypeAlias = Mapping[str, Mean]  # by topic
 def noted(means: Means, topic: str, t_ns: int, nu: Array, noise: Array) -> Means:
     """After a fix with the innovation nu (m,) and R (m, m)."""
     before = means.get(topic)
-    m = before.m if before is not None and t_ns - before.t_ns < RECENT_NS else np.zeros(_XYZ)
-    return {**means, topic: Mean(t_ns, m + _GAIN * (nu[:_XYZ] - m), sum(noise.diagonal().tolist()[:_XYZ]))}
+    m = before.m if before is not None and t_ns - before.t_ns < RECENT_NS else np.zeros(XYZ)
+    return {**means, topic: Mean(t_ns, m + _GAIN * (nu[:XYZ] - m), sum(noise.diagonal().tolist()[:XYZ]))}
 
 
 def covariance(means: Means, without: Container[str]) -> Array | None:
@@ -50,5 +51,5 @@ def covariance(means: Means, without: Container[str]) -> Array | None:
         return None
     now_ns = max(mean.t_ns for mean in means.values())
     fused = [mean for topic, mean in means.items() if topic not in without and now_ns - mean.t_ns < RECENT_NS]
-    added = np.mean([mean.differs for mean in fused], axis=0) if len(fused) > 1 else np.zeros(_XYZ)
+    added = np.mean([mean.differs for mean in fused], axis=0) if len(fused) > 1 else np.zeros(XYZ)
     return added if added.any() else None

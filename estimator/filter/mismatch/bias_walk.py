@@ -17,14 +17,14 @@ from msgspec.structs import replace
 
 from estimator.filter import contradiction
 from estimator.filter.eskf import Innovation
-from estimator.sources.base.gating import gate
+from estimator.sources.base.gating import SURE, gate
 from models.imu import ImuNoise
 from models.messages import Array
 
 _SHARE = 0.15  # a: of one innovation
 _LARGER, _NOISE = 1.3, 8.0  # e1, e2: larger than any wrong motion makes them
 _LARGEST = 10.0  # of one innovation, which may be false
-_LIKELY, _SURE = 0.995, 0.9999
+_LIKELY = 0.995
 _FIRST, _STEP, _STEP_S = 10.0, 100.0, 2.0
 _BACK_S = 15.0  # time constant
 _MEMORY_S = 5.0  # of the averages, for a few innovations a second
@@ -70,7 +70,7 @@ class BiasWalk(NamedTuple):
         if (t_ns - self.t_ns) * 1e-9 < _STEP_S:
             return BiasWalk(sources, self.factor, self.t_ns, self.was_wrong)
         if now.is_wrong(_LIKELY):
-            factor = min((_STEP if self.was_wrong or now.is_wrong(_SURE) else _FIRST) * self.factor, _MOST)
+            factor = min((_STEP if self.was_wrong or now.is_wrong(SURE) else _FIRST) * self.factor, _MOST)
         else:
             factor = 1.0 + (self.factor - 1.0) * math.exp(-_STEP_S / _BACK_S)
         return BiasWalk(sources, factor if factor > 1.1 else 1.0, t_ns, now.is_wrong(_LIKELY))

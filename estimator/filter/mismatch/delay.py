@@ -14,16 +14,14 @@ from numba import njit
 
 from estimator.filter.mismatch.score import Constant, Sums
 from models import so3
-from models.frames import GRAVITY
+from models.frames import GRAVITY, GRAVITY_N
 from models.measurements import Measurement, PartialPose, Pose, Position, Velocity
 from models.messages import Array
-from models.state import E, X
+from models.state import XYZ, E, X
 
 _LONGEST_S = 0.5  # no longer delay is found
 _COUNTS_M2 = 1e-3  # less is not worth the time of an estimate
-_G_N = np.array([0.0, 0.0, GRAVITY])
 _AT_IMU = np.zeros(3)
-_XYZ = 3
 
 
 def covariance(found: Sums, sigma_s: float, v_n: Array) -> Array | None:
@@ -49,17 +47,17 @@ def explains(off: Array, s: Array, x: Array) -> bool:
 def jacobian(z: Measurement, x: Array, u: Array) -> Array | None:
     """J of all components of a measurement, (m,), 1/s; None for what has no delay here."""
     if isinstance(z, Pose | PartialPose):
-        by_pose = _jacobian(x, u, _AT_IMU)[: 2 * _XYZ]
+        by_pose = _jacobian(x, u, _AT_IMU)[: 2 * XYZ]
         return np.asarray(z.directions @ by_pose) if isinstance(z, PartialPose) else by_pose
     if isinstance(z, Position):
-        return _jacobian(x, u, z.lever_b)[:_XYZ]
-    return _jacobian(x, u, _AT_IMU)[2 * _XYZ :] if isinstance(z, Velocity) else None
+        return _jacobian(x, u, z.lever_b)[:XYZ]
+    return _jacobian(x, u, _AT_IMU)[2 * XYZ :] if isinstance(z, Velocity) else None
 
 
 def _follows(x: Array, u: Array) -> Array:
     """dx / dt (15,), but for the biases."""
     moved, rotation = np.zeros(E.SIZE), so3.matrix(x[X.Q])
-    moved[E.P], moved[E.V], moved[E.THETA] = x[X.V], rotation @ (u[_XYZ:] - x[X.BA]) + _G_N, u[:_XYZ] - x[X.BG]
+    moved[E.P], moved[E.V], moved[E.THETA] = x[X.V], rotation @ (u[XYZ:] - x[X.BA]) + GRAVITY_N, u[:XYZ] - x[X.BG]
     return moved
 
 

@@ -19,13 +19,13 @@ import numpy as np
 from numba import njit
 
 from estimator.filter.imu_buffer import ImuBuffer
+from estimator.sources.base.faults import LONG_S
 from models import imu, so3
-from models.frames import ENU_FROM_NED, FLU_FROM_FRD, GRAVITY
+from models.frames import ENU_FROM_NED, FLU_FROM_FRD, GRAVITY_N
 from models.messages import Array
-from models.state import X
+from models.state import XYZ, X
 
 _SPACING_NS, _LONGEST_NS = 1_000_000_000, 3_000_000_000  # of two fixes that are compared
-_ANEW_S = 60.0  # the sums begin anew
 _PAIRS = 4  # a verdict after each so many, from the second time on
 _EVIDENCE, _WORSE = 20.0, 5.0  # ln of the ratio of two frames; of a frame to any linear map
 _LEFT = np.array([0.6, 0.35])[:, None, None]  # share of the power that the frame may leave unexplained: k = 1, another
@@ -40,11 +40,10 @@ _MAPS = np.array(
 _CHANGES = 3.0 - np.trace(_MAPS, axis1=1, axis2=2)  # of two that are as good, the one with fewer
 _TURNS = (_CHANGES > 0.0) & (_MAPS[:, 2, 2] > 0.0) & (np.linalg.det(_MAPS) > 0.0)  # about the vertical
 _NAMES = (("north", "south"), ("east", "west"), ("down", "up"))
-_G = np.array([0.0, 0.0, GRAVITY])
 _CONSTANTS = imu.constants(imu.ImuNoise(), imu.Coast(), None)
 _AT_REST = np.eye(1, X.SIZE, X.Q.start)[0]
 _NO_PAIR = np.zeros((2, 7))
-_XYZ, _TINY = 3, 1e-12
+_TINY = 1e-12
 _XV, _XQ, _XG = X.V.start, X.Q.start, X.BG.start  # compiled code reads plain integers
 
 
@@ -70,14 +69,14 @@ class Moments(NamedTuple):
         if n < 2 * _PAIRS or n % _PAIRS:
             return None
         centred = self.sums[:, 1:, 1:] - self.sums[:, 1:, :1] * self.sums[:, :1, 1:] / n
-        s_a, s_da, s_d = centred[:, :_XYZ, :_XYZ], centred[:, _XYZ:, :_XYZ], max(float(centred[0, _XYZ:, _XYZ:].trace()), _TINY)
+        s_a, s_da, s_d = centred[:, :XYZ, :XYZ], centred[:, XYZ:, :XYZ], max(float(centred[0, XYZ:, XYZ:].trace()), _TINY)
         s_aa = np.maximum(s_a.trace(axis1=1, axis2=2), _TINY)[:, None]
         along = s_da.reshape(2, -1) @ _MAPS.reshape(len(_MAPS), -1).T
         k = np.maximum(along, 0.0) / s_aa
         k = np.stack((np.ones_like(k), np.where((k > _NO_UNIT[0]) & (k < _NO_UNIT[1]), 1.0, k)))
         left = (s_d - 2.0 * k * along + k * k * s_aa) / s_d  # (k, attitude, M)
         cost = n * np.log(np.maximum(left, _TINY)) + _CHANGES
-        wrong = (self.turned[1:] > _TURN_LEFT * self.turned[0]) | (np.abs(self.sums[:, 0, _XYZ]) > _HEAVY_M_S * n)
+        wrong = (self.turned[1:] > _TURN_LEFT * self.turned[0]) | (np.abs(self.sums[:, 0, XYZ]) > _HEAVY_M_S * n)
         is_explained = (left < _LEFT) & ~wrong[:, None]
         at = np.unravel_index(int(np.where(is_explained, cost, math.inf).argmin()), left.shape)
         best, asked = float(cost[at]), float(cost[0, 0, 0])
@@ -116,7 +115,7 @@ class Frame(NamedTuple):
             return self._replace(t_ns=t_ns, p_n=p_n, q_nb_wxyz=q_nb_wxyz, way=None)
         x = imu.moved(_AT_REST, samples.t_ns, samples.u, samples.count, i, self.t_ns, t_ns, _CONSTANTS)
         way, turned = _way(x, between_ns * 1e-9, self.p_n, self.q_nb_wxyz, p_n, q_nb_wxyz)
-        moments = self.moments if (t_ns - self.moments.t0_ns) * 1e-9 < _ANEW_S else _nothing(t_ns)
+        moments = self.moments if (t_ns - self.moments.t0_ns) * 1e-9 < LONG_S else _nothing(t_ns)
         moments = moments.also(self.way, way, turned)
         found = moments.verdict
         says = self.says if found is None else _words(*found)
@@ -134,7 +133,7 @@ def _words(attitude: int, m: Array, k: float) -> str:
 
 
 def _nothing(t_ns: int) -> Moments:
-    return Moments(t_ns, np.zeros((2, 7, 7)), np.zeros(_XYZ))
+    return Moments(t_ns, np.zeros((2, 7, 7)), np.zeros(XYZ))
 
 
 @njit(cache=True, error_model="numpy")
@@ -143,7 +142,7 @@ def _way(x: Array, h: float, p: Array, q: Array, p_next: Array, q_next: Array) -
     by_imu, by_fixes = so3.quat_log(x[_XQ:_XG]), so3.quat_log(so3.multiply(so3.conjugate(q), q_next))
     r, way, turned, s, u = so3.matrix(q), np.zeros((2, 2, 7)), np.zeros(3), np.empty(3), np.empty(3)
     for k in range(3):
-        s[k], u[k] = x[k] / h - 0.5 * h * _G[k], x[_XV + k] - h * _G[k]
+        s[k], u[k] = x[k] / h - 0.5 * h * GRAVITY_N[k], x[_XV + k] - h * GRAVITY_N[k]
         turned[0] += by_imu[k] ** 2
     for attitude in range(2):
         if attitude == 1:
@@ -152,7 +151,7 @@ def _way(x: Array, h: float, p: Array, q: Array, p_next: Array, q_next: Array) -
         way[0, attitude, 0] = 1.0
         for k in range(3):
             way[:, attitude, 4 + k] = (p_next[k] - p[k]) / h
-            way[0, attitude, 1 + k] = mean[k] + 0.5 * h * _G[k]
-            way[1, attitude, 1 + k] = way[0, attitude, 1 + k] - (gained[k] + h * _G[k])
+            way[0, attitude, 1 + k] = mean[k] + 0.5 * h * GRAVITY_N[k]
+            way[1, attitude, 1 + k] = way[0, attitude, 1 + k] - (gained[k] + h * GRAVITY_N[k])
             turned[1 + attitude] += (by_fixes[k] - by_imu[k]) ** 2
     return way, turned

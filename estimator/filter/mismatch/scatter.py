@@ -21,17 +21,16 @@ from msgspec.structs import replace
 from estimator.filter.eskf import Innovation
 from estimator.sources import pose
 from estimator.sources.base.aid import Aid
-from estimator.sources.base.gating import gate
+from estimator.sources.base.gating import SURE, USUAL, gate
 from models.measurements import Measurement, Pose, Position, Velocity, mahalanobis
 from models.messages import Array
+from models.state import XYZ
 
 _WINDOW, _RANK, _MIDDLE = 12, 3, 6
-_USUAL, _FAR = 0.96, 0.9999
 _USELESS = 1e4
 _APART_S = 1.1  # readings further apart are not compared
 _GAIN, _LN_MEAN, _BOUND = 0.03, 0.73, 1.65  # a; E ln chi2_3; b: three sigmas of y
 _LEAST_LN, _MOST_LN = -6.0, 2.0  # of ln r - E ln chi2_3
-_XYZ = 3
 
 
 class Reading(NamedTuple):
@@ -59,7 +58,7 @@ class Scatter(NamedTuple):
 
     def widened(self, noise: Array) -> Array:
         """R (m, m) of a reading as it scatters."""
-        root = np.sqrt(np.repeat(self.factors, _XYZ)[: len(noise)])
+        root = np.sqrt(np.repeat(self.factors, XYZ)[: len(noise)])
         return noise * np.outer(root, root)
 
     @property
@@ -90,11 +89,11 @@ class Scatter(NamedTuple):
         if last and (m != len(last[-1].nu) or (t_ns - self.t_ns) * 1e-9 > _APART_S):
             last, factors = (), ()
         r = _bends(last[-2], last[-1], seen.nu, reported) if len(last) > 1 else ()
-        last = (*last, Reading(seen.nu, reported, r, seen.distance2 > gate(_FAR, m), fused))
-        if m == 2 * _XYZ and r:
+        last = (*last, Reading(seen.nu, reported, r, seen.distance2 > gate(SURE, m), fused))
+        if m == 2 * XYZ and r:
             ln = tuple([y + _GAIN * (_ln(r_k) - y) for y, r_k in zip(ln or (0.0,) * len(r), r, strict=True)])
         if len(last) == _WINDOW and last[0].r and (factors or 2 * sum([one.far for one in last]) > _WINDOW):
-            factors = tuple([_factor([one.r[k] for one in last], min(_XYZ, m - _XYZ * k)) for k in range(len(r))])
+            factors = tuple([_factor([one.r[k] for one in last], min(XYZ, m - XYZ * k)) for k in range(len(r))])
             factors = factors if max(factors) > 1.0 else ()
         return Scatter(t_ns, last, factors, ln)
 
@@ -109,9 +108,9 @@ def taken(aid: Aid, z: Measurement, known: Scatter | None) -> tuple[Aid, Measure
     if known.factors:
         return aid, replace_in(z, noise=known.widened(z.noise))
     is_given = any(e.block == pose.look(aid.topic) for e in aid.slow_errors)
-    if is_given or len(z.rows) != 2 * _XYZ or not any(known.shares):
+    if is_given or len(z.rows) != 2 * XYZ or not any(known.shares):
         return aid, z
-    shares = np.repeat(known.shares, _XYZ)
+    shares = np.repeat(known.shares, XYZ)
     lasts, own = np.sqrt(shares), np.sqrt(1.0 - shares)
     error = pose.lasting(aid.topic, lasts[:, None] * z.noise * lasts)
     return replace(aid, slow_errors=(*aid.slow_errors, error)), replace_in(z, noise=own[:, None] * z.noise * own)
@@ -119,12 +118,12 @@ def taken(aid: Aid, z: Measurement, known: Scatter | None) -> tuple[Aid, Measure
 
 def _bends(a: Reading, b: Reading, nu: Array, noise: Array) -> tuple[float, ...]:
     d, r = a.nu - 2.0 * b.nu + nu, a.noise + 4.0 * b.noise + noise
-    return tuple([mahalanobis(d[k : k + _XYZ], r[k : k + _XYZ, k : k + _XYZ])[0] for k in range(0, len(d), _XYZ)])
+    return tuple([mahalanobis(d[k : k + XYZ], r[k : k + XYZ, k : k + XYZ])[0] for k in range(0, len(d), XYZ)])
 
 
 def _factor(r: list[float], dof: int) -> float:
     r.sort()
-    return max(r[_MIDDLE - 1] / gate(0.5, dof), 1.0) if r[_RANK - 1] > gate(_USUAL, dof) else 1.0
+    return max(r[_MIDDLE - 1] / gate(0.5, dof), 1.0) if r[_RANK - 1] > gate(USUAL, dof) else 1.0
 
 
 def _ln(r: float) -> float:

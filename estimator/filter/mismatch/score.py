@@ -22,18 +22,18 @@ from numba import njit
 from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.hypotheses import Hypothesis
 from estimator.sources.base.aid import Aid, SlowError
+from estimator.sources.base.faults import LONG_S
 from models import cholesky
 from models.measurements import Measurement
 from models.messages import Array
-from models.state import E
+from models.state import XYZ, E
 
-_ANEW_S = 60.0  # the sums begin anew
 _SIGMAS = 6.0
 _FEWEST = 3  # readings
 _APART = np.eye(3) / 3.0**2  # m^-2: information on the difference of two sources' positions, MAP_M of the faults
 _PROBE = 1e-4  # s0, s or rad: less than the motion of any vehicle shows
 _CONSIDERED = np.array([[_PROBE**2]])
-_XYZ, _TINY = 3, 1e-12
+_TINY = 1e-12
 _NOTHING = np.zeros((0, 5))
 
 
@@ -92,9 +92,9 @@ class Sums(NamedTuple):
         """
         if self.is_state:
             return self
-        is_new = not 0.0 <= (t_ns - self.since_ns) * 1e-9 < _ANEW_S
+        is_new = not 0.0 <= (t_ns - self.since_ns) * 1e-9 < LONG_S
         sums = Sums(t_ns, before=self.evidence) if is_new else self
-        place = np.zeros((_XYZ, 5)) if apart else _NOTHING
+        place = np.zeros((XYZ, 5)) if apart else _NOTHING
         information, score = _score(seen.nu, seen.s, seen.hp, column, place)
         if math.isnan(information):
             return sums
@@ -149,7 +149,7 @@ def noted(
     weight: float = 1.0, *, alone: bool,
 ) -> Scores:  # fmt: skip
     """After a reading of the leading filter; a constant that it shows becomes a state of each filter."""
-    apart, lead = aid.absolute and not alone and len(seen.nu) >= _XYZ, members[0].filter
+    apart, lead = aid.absolute and not alone and len(seen.nu) >= XYZ, members[0].filter
     found = dict(scores)
     for c in constants:
         block = c.block(aid.witness)
@@ -207,7 +207,7 @@ def estimate(c: Constant, eskf: Eskf, topic: str, found: Sums) -> None:
     nu, noise, h = np.array([score / information]), np.array([[4.0 / information]]), np.zeros((1, len(v)))
     h[0, at] = 1.0
     for part in (E.P, E.V, E.THETA, E.BG, E.BA):  # the correction is linear, and may be wrong by its own size
-        eskf.cov[part, part] += float(nu[0]) ** 2 * float(v[part] @ v[part]) * np.eye(_XYZ)
+        eskf.cov[part, part] += float(nu[0]) ** 2 * float(v[part] @ v[part]) * np.eye(XYZ)
     eskf.update(Innovation(nu, h, h @ eskf.cov, noise, eskf.cov[at : at + 1, at : at + 1] + noise, 0.0, 0.0))
 
 

@@ -19,13 +19,13 @@ from estimator.sources.base.aid import Aid
 from models import imu
 from models.measurements import Velocity
 from models.messages import Array
-from models.state import E, X
+from models.state import XYZ, E, X
 
 _LEAST_M_S, _SIGMAS = 0.8, 5.0
 _SHORTEST_S, _LONGEST_S = 0.15, 1.2  # between the two readings
 _CONFIRMED_NS, _CONFIRMED = 2_000_000_000, 0.6  # so long after a step, of its size
 _FEWEST, _USUAL_S = 5, 5.0  # readings to know the usual steps from, and over which time these are averaged
-_XYZ, _NOTHING = 3, np.zeros(3)
+_NOTHING = np.zeros(3)
 _OF_IMU = 4  # steps in a row are noise, or the IMU's
 _NOISY = 9.0  # times the variance
 _IMPACT_M_S2 = 30.0
@@ -61,7 +61,7 @@ class SpeedStep(NamedTuple):
                 return self._stepped(step)
         usual = self.usual + 1
         share = max(1.0 / usual, -math.expm1(-dt_s / _USUAL_S))
-        scatter2 = self.scatter2 + share * (float(step @ step) / _XYZ - self.scatter2)
+        scatter2 = self.scatter2 + share * (float(step @ step) / XYZ - self.scatter2)
         return self._replace(in_a_row=0, usual=usual, scatter2=scatter2)
 
     def _stepped(self, step: Array) -> "SpeedStep":
@@ -128,7 +128,7 @@ def noted(
 
 def _shaken(samples: ImuBuffer, from_ns: int) -> bool:
     """Whether the IMU has felt an impact since then, which its samples need not hold whole."""
-    force = samples.u[samples.first_after(from_ns) : samples.count, _XYZ:]
+    force = samples.u[samples.first_after(from_ns) : samples.count, XYZ:]
     return len(force) > 0 and bool(np.abs(force).max() > _IMPACT_M_S2)
 
 

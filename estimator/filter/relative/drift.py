@@ -16,17 +16,16 @@ from estimator.sources.odometry import DRIFT_M_S, FADES_S, OdometryAid, drift_bl
 from models.measurements import mahalanobis
 from models.messages import Array
 from models.relative_pose import RelativePose
-from models.state import E
+from models.state import XYZ, E
 
 WORTH_SAYING_M_S = 0.25
 _MOST = 50.0  # ln
 _NOTHING_M2_S2 = 1e-6
-_XYZ = 3
 
 
 def suspect(eskf: Eskf, seen: Innovation, aid: OdometryAid, z: RelativePose, share: float) -> bool:
     """Widen d by the innovation of a translation; share: pi, or 1 for a known drift. Whether P has changed."""
-    at, rows = eskf.slow.columns[drift_block(aid.topic)], z.rows < _XYZ
+    at, rows = eskf.slow.columns[drift_block(aid.topic)], z.rows < XYZ
     nu, s, j = seen.nu[rows], seen.s[np.ix_(rows, rows)], seen.h[rows, at]  # J = dt R_0^T
     if not len(nu):
         return False

@@ -21,10 +21,9 @@ from estimator.sources.odometry import Begins, Increment, Kept, Lost, OdometryAi
 from models import so3
 from models.messages import Array, Reason
 from models.relative_pose import RelativePose
-from models.state import E
+from models.state import XYZ, E
 
 _MOST_SAID = 0.5  # ln: c
-_XYZ = 3
 _NO_RATE = np.zeros(3)
 _OVERLAPS = "overlaps with another increment, or begins where there was no estimate"
 _BEGINS, _JUMPED = "the first of its frame", "the pose has jumped by {:.2f} m: begun anew"
@@ -157,11 +156,11 @@ def _off(seen: Innovation) -> Array:
 
 def _level(seen: Innovation, z: RelativePose, origin: Array) -> Array:
     """nu_i / sigma_i of a translation, in n where all of it is given: there a drift lasts. Else of the rotation."""
-    rows = z.rows < _XYZ
-    if rows.sum() < _XYZ:
+    rows = z.rows < XYZ
+    if rows.sum() < XYZ:
         rows = rows if rows.any() else ~rows
         return seen.nu[rows] / np.sqrt(seen.s.diagonal()[rows])
-    R = so3.matrix(origin[_XYZ:])
+    R = so3.matrix(origin[XYZ:])
     level: Array = R @ seen.nu[rows] / np.sqrt((R @ seen.s[np.ix_(rows, rows)] @ R.T).diagonal())
     return level
 

@@ -15,6 +15,11 @@ Rates an hour: engineering judgement (docs/integrity.md).
 
 from typing import Final
 
+RECENT_NS: Final = 10_000_000_000  # a source that gave something since then counts; agreement for so long is enough
+LONG_NS: Final = 60_000_000_000  # sums and runs of readings reach back so far
+RECENT_S: Final = RECENT_NS / 1e9
+LONG_S: Final = LONG_NS / 1e9
+
 LASTS_S: Final = {"gnss_position": 10.0, "gnss_velocity": 10.0, "range": 10.0, "baro": 60.0}
 OTHERS_LAST_S: Final = 1.5  # pose fixes and all others
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.messages import Array
+from models.state import XYZ
 
 _A0, _B0 = 3.0, 2.0  # f = 1, as of six readings
 _TAU_S, _HIDES_S = 20.0, 2.0
@@ -22,7 +23,6 @@ _HIDDEN = 0.65  # c: with it a drift of 0.2 m/s stays inside the covariance (ben
 BEGINS_M_S = 0.1  # sigma of a drift that begins
 _FARTHEST = 4.0  # sigma
 _LEAST, _MOST = 0.5, (25.0, 100.0)
-_XYZ = 3
 
 
 class LearntNoise(NamedTuple):
@@ -33,7 +33,7 @@ class LearntNoise(NamedTuple):
 
     a: tuple[float, float] = (_A0, _A0)
     b: tuple[float, float] = (_B0, _B0)
-    changed: Array = np.zeros((_XYZ, _XYZ))
+    changed: Array = np.zeros((XYZ, XYZ))
     is_renewed: bool = False
 
     @property
@@ -54,13 +54,13 @@ class LearntNoise(NamedTuple):
     @property
     def roots(self) -> Array:
         """sqrt(f) of the six components, (6,)."""
-        roots: Array = np.sqrt(np.repeat(np.minimum(self.factors, _MOST), _XYZ))
+        roots: Array = np.sqrt(np.repeat(np.minimum(self.factors, _MOST), XYZ))
         return roots
 
     @property
     def hidden_m_s(self) -> float:
         """1-sigma of the drift that hides in C, in each axis: 0.65 sqrt(tr C / 3), 0.1 m/s at most."""
-        return min(_HIDDEN * math.sqrt(float(np.trace(self.changed)) / _XYZ), BEGINS_M_S)
+        return min(_HIDDEN * math.sqrt(float(np.trace(self.changed)) / XYZ), BEGINS_M_S)
 
     def also(self, nu: Array, s: Array, noise: Array, rows: NDArray[np.intp], seconds: float) -> "LearntNoise":
         """With one more innovation nu (m,), S and R (m, m) of these rows of an increment over so many seconds."""
@@ -69,7 +69,7 @@ class LearntNoise(NamedTuple):
         e = (gain.T @ nu * min(1.0, _FARTHEST / max(far, 1.0))) ** 2 + (noise - noise @ gain).diagonal()
         r = self.roots[rows] ** 2 * e / noise.diagonal()
         a, b, rho = list(self.a), list(self.b), math.exp(-seconds / _TAU_S)
-        for g, of in enumerate((rows < _XYZ, rows >= _XYZ)):
+        for g, of in enumerate((rows < XYZ, rows >= XYZ)):
             a[g] = _A0 + rho * (a[g] - _A0) + 0.5 * int(of.sum())
             b[g] = _B0 + rho * (b[g] - _B0) + 0.5 * float(r[of].sum())
         return self._replace(a=(a[0], a[1]), b=(b[0], b[1]))

@@ -11,13 +11,14 @@ from enum import StrEnum
 import msgspec
 from msgspec.structs import replace
 
+from estimator.sources.base.faults import RECENT_S
 from estimator.sources.base.gating import cusum
 from estimator.sources.base.learnt_noise import LearntNoise
 from estimator.sources.base.rules import Rules
 from models.messages import Array
 
 _NEVER = -(2**62)
-_AGREED_S, _LEAST_SPACING_S, _DOUBLED = 10.0, 0.1, 3  # how long a refuted sensor has to agree, and how often that doubles
+_LEAST_SPACING_S, _DOUBLED = 0.1, 3  # how often the time that a refuted sensor has to agree doubles
 CUSUM_SLACK, _CUSUM_LIMIT = 1.0, 10.0  # sigma: bias of the innovations that is tolerated; the sum at which a source is rejected
 _REFUTED_SLACK = 0.5  # bias that is tolerated where a refuted sensor has to agree
 
@@ -96,7 +97,7 @@ class SourceState(msgspec.Struct, frozen=True):
     @property
     def agrees_s(self) -> float:
         """So long a refuted sensor has to agree: 10 s, then 20, 40 and 80."""
-        return _AGREED_S * 2.0 ** min(max(self.refutations - 1, 0), _DOUBLED)
+        return RECENT_S * 2.0 ** min(max(self.refutations - 1, 0), _DOUBLED)
 
     def spoofed(self, rules: Rules, t_ns: int) -> "SourceState":
         """The receiver reports spoofing: held off, then on probation."""

@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from models.frames import GRAVITY, Origin
+from models.frames import GRAVITY_N, Origin
 from models.maps.table import MapError
 from models.messages import Array
 from models.untrusted.file import content
@@ -90,7 +90,7 @@ def fly(places: Array, origin: Origin, height_m: float, speed_m_s: float) -> Fli
     p_n = np.full((len(t_s), 3), -height_m)
     p_n[:, :2] = gaussian_filter1d(way, _ROUND_S * RATE_HZ, axis=0, mode="nearest")
     v_n = np.gradient(p_n, 1.0 / RATE_HZ, axis=0)
-    force_n = np.gradient(v_n, 1.0 / RATE_HZ, axis=0) - np.array([0.0, 0.0, GRAVITY])
+    force_n = np.gradient(v_n, 1.0 / RATE_HZ, axis=0) - GRAVITY_N
     first = corners[np.flatnonzero(along > 0.0)[0]] - corners[0]
     heading = math.atan2(first[1], first[0])
     c, s = math.cos(heading), math.sin(heading)
