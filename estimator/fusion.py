@@ -393,8 +393,7 @@ class Fusion:
         samples = self._history.samples
         first = samples.first_after(last.t_ns)
         went_to = imu.moved(last.nav, samples.t_ns, samples.u, samples.count, first, last.t_ns, t_ns, lead.constants)
-        delta = state.local(went_to, lead.x)
-        return delta if state.has_moved(delta, doubt, sigmas) else None
+        return state.local(went_to, lead.x) if state.has_moved(went_to, lead.x, doubt, sigmas) else None
 
     def _clock_stepped(self, sample: ImuSample, refusal: Refusal) -> list[Output]:
         if refusal.reason not in {Reason.IN_FUTURE, Reason.TOO_OLD}:

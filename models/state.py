@@ -103,9 +103,9 @@ def local(x: Array, y: Array) -> Array:
 
 
 @njit(cache=True, error_model="numpy")
-def has_moved(dx: Array, cov: Array, sigmas: float) -> bool:
-    """Whether dx (15,) moves more than `sigmas` of P (n, n); biases do not count."""
-    moved = False
+def has_moved(x: Array, y: Array, cov: Array, sigmas: float) -> bool:
+    """Whether dx with x (+) dx = y moves more than `sigmas` of P (n, n); biases do not count."""
+    dx, moved = local(x, y), False
     for i in range(_G):
         moved = moved or abs(dx[i]) > sigmas * math.sqrt(cov[i, i])
     return moved

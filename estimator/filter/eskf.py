@@ -213,8 +213,9 @@ class Eskf:
 
     def update(self, seen: Innovation) -> None:
         """Fuse a gated measurement."""
-        mean, self.sound = fused(self.x, self.cov, seen.nu, seen.h, seen.noise, self.slow.mean, self.slow.estimated)
-        self.slow = self.slow._replace(mean=mean)
+        columns, tau_s, psd, mean, estimated = self.slow
+        mean, self.sound = fused(self.x, self.cov, seen.nu, seen.h, seen.noise, mean, estimated)
+        self.slow = SlowErrors(columns, tau_s, psd, mean, estimated)
         for block in self.clones:
             self._correct_pose(block)
 

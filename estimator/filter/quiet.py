@@ -94,8 +94,9 @@ def _take(
         good = good and is_within(x, cov, rules[0], rules[1], rules[2], rules[3])
     elif share > 0.0:
         mix(covariance, share, cov, nav, x, root)
-    if factor > 0.0:
+    if factor > 1.0:
         scale(covariance, factor)
+    if factor > 0.0:
         for k in range(_N):
             for j in range(_N):
                 covariance[k, j] *= ratio

@@ -96,7 +96,7 @@ class Tracker:
     def copy(self) -> "Tracker":
         """An independent copy; immutable parts are shared."""
         other = object.__new__(Tracker)
-        other.__dict__.update(self.__dict__)
+        other.__dict__ = self.__dict__.copy()
         other.core = self.core.copy()
         other.alignment, other.imu = self.alignment.copy(other.core), self.imu.copy(other.core)
         other.sources, other.kept = self.sources.copy(), self.kept.copy()
@@ -419,43 +419,42 @@ class Tracker:
     def _judge(
         self, aid: Aid, z: Measurement, reported: Measurement, gyro_b: Array, state: SourceState, *, alone: bool
     ) -> tuple[Decision, SourceState]:
-        core = self.core
-        assert core.hypotheses is not None
+        core, bank, is_place = self.core, self.core.hypotheses, aid.absolute or bool(aid.receiver)
+        assert bank is not None
         receiver = self.sources.get(aid.receiver or "", _UNKNOWN)  # of a velocity: it stands and falls with its positions
         known = self.scatter.get(aid.topic) or Scatter(aid.t_ns)
         trusted = state.phase is Phase.ACTIVE and (receiver.phase is Phase.ACTIVE or aid.t_ns > receiver.silent_ns)
         trusted = trusted and known.is_aid
         proven = core.variance_factor.is_proven
         vouched = aid.absolute and self._vouched(aid)
-        verdict = core.hypotheses.judge(aid, z, gyro_b, trusted=trusted, vouched=vouched, proven=proven)
-        if (aid.absolute or aid.receiver) and isinstance(reported, Pose | Position | Velocity):
+        verdict = bank.judge(aid, z, gyro_b, trusted=trusted, vouched=vouched, proven=proven)
+        seen, used, lead = verdict.seen, verdict.used, bank.members[0]
+        if is_place and isinstance(reported, Pose | Position | Velocity):
             self.scatter = {**self.scatter, aid.topic: self._scattered(known, aid, verdict, reported.noise, alone=alone)}
-        if verdict.used is not verdict.seen:
+        if used is not seen:
             core.stretch = None  # a run would fuse the attitude
         for topic in verdict.wrong:
             self.sources[topic] = self.sources.get(topic, _UNKNOWN).refuted(aid.t_ns)
         if trusted and aid.absolute:
-            core.note_variance(aid, verdict.used)
+            core.note_variance(aid, used)
         agree = alone or not (core.conflicts.apart or self.between is not None)  # sources that disagree are no motion
         if verdict.fused and aid.absolute and agree and not aid.geodetic:
-            self._note_biases(aid, verdict.used)
-        if aid.absolute or aid.receiver:
+            self._note_biases(aid, used)
+        if is_place:
             self.failed = {**self.failed, aid.topic: 0 if verdict.passed else self.failed.get(aid.topic, 0) + 1}
-        is_rejected = aid.topic in core.hypotheses.members[0].rejected
-        core.conflicts = core.conflicts.judged(aid, z, core.hypotheses.lead.x[X.P], is_rejected=is_rejected)
+        core.conflicts = core.conflicts.judged(aid, z, lead.filter.x[X.P], is_rejected=aid.topic in lead.rejected)
         apart = core.conflicts.apart.get(aid.witness)
-        may_be_late = apart is None or delay.explains(apart.off, apart.s, core.hypotheses.lead.x)
-        if trusted and may_be_late and (aid.absolute or aid.receiver):
-            members, weight = core.hypotheses.members, known.weight
-            self.scores = score.noted(CONSTANTS, aid, verdict.used, verdict.gate, self.scores, members, weight, alone=alone)
+        may_be_late = apart is None or delay.explains(apart.off, apart.s, lead.filter.x)
+        if trusted and may_be_late and is_place:
+            self.scores = score.noted(CONSTANTS, aid, used, verdict.gate, self.scores, bank.members, known.weight, alone=alone)
             if aid.absolute and (aid.delay_sigma_s or alone) and (late := self.scores.get(DELAY.block(aid.witness))) is not None:
-                self.late_cov = delay.covariance(late, aid.delay_sigma_s, core.hypotheses.lead.x[X.V])
+                self.late_cov = delay.covariance(late, aid.delay_sigma_s, lead.filter.x[X.V])
         if not aid.geodetic and core.conflicts.outvotes(aid.topic):
-            core.hypotheses.lead_from(aid, z, gyro_b)
+            bank.lead_from(aid, z, gyro_b)
             core.variance_factor, core.conflicts, self.means = NO_EXCESS, Conflicts(), {}
-        self._note_between(aid, z, verdict.seen)
-        core.hypotheses.drop(lambda member: bool(self.violation(member.filter)))
-        nu, sigma = verdict.seen.nu, np.sqrt(verdict.seen.s.diagonal())
+        self._note_between(aid, z, seen)
+        bank.drop(lambda member: bool(self.violation(member.filter)))
+        nu, sigma = seen.nu, np.sqrt(seen.s.diagonal())
         if verdict.fused:
             reason = Reason.FUSED
             self._note_absolute(aid, z)
@@ -467,16 +466,15 @@ class Tracker:
         alone = alone or (aid.geodetic is not None and self._alone(aid, core.receivers))  # receivers share their slow error
         state = state.judge(aid.rules, aid.t_ns, alone=alone, passed=verdict.passed, fused=verdict.fused, nu=nu, sigma=sigma)
         if state.held_until_ns > aid.t_ns and trusted:
-            core.hypotheses.leave(aid.witness)
+            bank.leave(aid.witness)
         if not aid.weighs and not verdict.passed:
             state = state.held(aid.rules, aid.t_ns, alone=alone)
-        ratio = verdict.used.distance2 / verdict.gate
         detail = aid.detail if reason is not Reason.GATED else "; ".join(filter(None, (aid.detail, self._conflict())))
         off, sigmas = tuple(nu.tolist()), tuple(sigma.tolist())
         position = (off[:XYZ], sigmas[:XYZ]) if aid.absolute else None
         if isinstance(z, PartialPose):
-            position = position_innovation(z, nu, verdict.seen.s)
-        return Decision(reason, off, sigmas, ratio, detail, position), state
+            position = position_innovation(z, nu, seen.s)
+        return Decision(reason, off, sigmas, used.distance2 / verdict.gate, detail, position), state
 
     def _note_between(self, aid: Aid, z: Measurement, seen: Innovation) -> None:
         apart = self.core.conflicts.apart

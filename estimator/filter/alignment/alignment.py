@@ -85,7 +85,7 @@ class Alignment:
     def copy(self, core: Core) -> "Alignment":
         """Independent copy with another core; immutable parts are shared."""
         other = object.__new__(Alignment)
-        other.__dict__.update(self.__dict__)
+        other.__dict__ = self.__dict__.copy()
         other.core = core
         other.resting = self.resting.copy() if self.resting else None
         other.without_sensor = self.without_sensor.copy() if self.without_sensor else None

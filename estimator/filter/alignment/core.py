@@ -59,7 +59,7 @@ class Core:
     def copy(self) -> "Core":
         """An independent copy; immutable parts are shared."""
         other = object.__new__(Core)
-        other.__dict__.update(self.__dict__)
+        other.__dict__ = self.__dict__.copy()
         other.hypotheses = self.hypotheses.copy() if self.hypotheses else None
         return other
 

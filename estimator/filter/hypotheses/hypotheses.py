@@ -131,7 +131,7 @@ class Hypotheses:
             if member.doubts_imu:  # nothing shows its attitude until the IMU is right again
                 member.filter.limit_attitude()
         as_it_came = innovation(self.members[0].filter, aid, z, gyro_b)
-        seen = [as_it_came, *(self._seen(m, aid, z, gyro_b, as_it_came) for m in self.members[1:])]
+        seen = [as_it_came, *[self._seen(m, aid, z, gyro_b, as_it_came) for m in self.members[1:]]]
         if not trusted:
             return Verdict(as_it_came, as_it_came, limit, as_it_came.distance2 <= limit, fused=False)
         whole = [s.distance2 <= limit for s in seen]

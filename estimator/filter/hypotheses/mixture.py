@@ -25,7 +25,8 @@ def covariance(members: list[Hypothesis]) -> Array:
     for share, member in zip(others, members[1:], strict=True):
         if share:
             mix(total, share, member.filter.cov, lead.x, member.filter.x, root)
-    scale(total, lead.variance_factor)
+    if lead.variance_factor > 1.0:
+        scale(total, lead.variance_factor)
     return total
 
 
@@ -48,8 +49,6 @@ def ln_sum(terms: list[float]) -> float:
 @njit(cache=True, error_model="numpy")
 def scale(cov: Array, factor: float) -> None:
     """P <- f P (15, 15), in place; an attitude has no sigma beyond half a turn."""
-    if factor == 1.0:
-        return
     for i in range(_N):
         for j in range(_N):
             cov[i, j] *= factor

@@ -17,6 +17,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from msgspec.structs import replace
+from numba import njit
 
 from estimator.filter.eskf import Innovation
 from estimator.sources import pose
@@ -44,12 +45,13 @@ class Reading(NamedTuple):
 
 
 class Scatter(NamedTuple):
-    """Factors s and y of a source at t_ns, by block; last: its readings."""
+    """Factors s, y and rho of a source at t_ns, by block; last: its readings."""
 
     t_ns: int
     last: tuple[Reading, ...] = ()
     factors: tuple[float, ...] = ()
     ln: tuple[float, ...] = ()
+    shares: tuple[float, ...] = ()
 
     @property
     def factor(self) -> float:
@@ -60,11 +62,6 @@ class Scatter(NamedTuple):
         """R (m, m) of a reading as it scatters."""
         root = np.sqrt(np.repeat(self.factors, XYZ)[: len(noise)])
         return noise * np.outer(root, root)
-
-    @property
-    def shares(self) -> tuple[float, ...]:
-        """rho by block, zero where it scatters as it reports."""
-        return tuple([max(2.0 - math.sqrt(1.0 + 3.0 * min(_BOUND * math.exp(y), 1.0)), 0.0) for y in self.ln])
 
     @property
     def weight(self) -> float:
@@ -95,7 +92,8 @@ class Scatter(NamedTuple):
         if len(last) == _WINDOW and last[0].r and (factors or 2 * sum([one.far for one in last]) > _WINDOW):
             factors = tuple([_factor([one.r[k] for one in last], min(XYZ, m - XYZ * k)) for k in range(len(r))])
             factors = factors if max(factors) > 1.0 else ()
-        return Scatter(t_ns, last, factors, ln)
+        shares = tuple([max(2.0 - math.sqrt(1.0 + 3.0 * min(_BOUND * math.exp(y), 1.0)), 0.0) for y in ln])
+        return Scatter(t_ns, last, factors, ln, shares)
 
 
 Scatters: TypeAlias = Mapping[str, Scatter]  # by topic of positions and velocities
@@ -117,8 +115,18 @@ def taken(aid: Aid, z: Measurement, known: Scatter | None) -> tuple[Aid, Measure
 
 
 def _bends(a: Reading, b: Reading, nu: Array, noise: Array) -> tuple[float, ...]:
-    d, r = a.nu - 2.0 * b.nu + nu, a.noise + 4.0 * b.noise + noise
-    return tuple([mahalanobis(d[k : k + XYZ], r[k : k + XYZ, k : k + XYZ])[0] for k in range(0, len(d), XYZ)])
+    return tuple([_bend(a.nu, b.nu, nu, a.noise, b.noise, noise, k) for k in range(0, len(nu), XYZ)])
+
+
+@njit(cache=True, error_model="numpy")
+def _bend(a: Array, b: Array, c: Array, r_a: Array, r_b: Array, r_c: Array, k: int) -> float:
+    n = min(XYZ, a.shape[0] - k)
+    d, r = np.empty(n), np.empty((n, n))
+    for i in range(n):
+        d[i] = a[k + i] - 2.0 * b[k + i] + c[k + i]
+        for j in range(n):
+            r[i, j] = r_a[k + i, k + j] + 4.0 * r_b[k + i, k + j] + r_c[k + i, k + j]
+    return mahalanobis(d, r)[0]
 
 
 def _factor(r: list[float], dof: int) -> float:

@@ -126,9 +126,9 @@ def carried(
     """The reading with the constants of its source among its errors; u (6,): rate, specific force; alone: no other source."""
     if u is None or not (aid.absolute or aid.receiver):
         return aid
-    lead, errors = members[0].filter, list(aid.slow_errors)
+    lead, errors, topic = members[0].filter, list(aid.slow_errors), aid.witness
     for c in constants:
-        j, block = c.jacobian(z, lead.x, u), c.block(aid.witness)
+        j, block = c.jacobian(z, lead.x, u), c.block(topic)
         if j is None:
             continue
         known = scores.get(block)
@@ -136,9 +136,9 @@ def carried(
         if alone and (known is None or is_state):
             for member in members:
                 if block not in member.filter.slow.columns:
-                    begin(c, member.filter, aid.witness, u)
+                    begin(c, member.filter, topic, u)
                     if known is not None:
-                        estimate(c, member.filter, aid.witness, known)
+                        estimate(c, member.filter, topic, known)
         covariance, walk = (np.array([[c.sigma**2]]), np.array([c.walk])) if is_state else (_CONSIDERED, None)
         errors.append(SlowError(block, covariance, math.inf, j[:, None], walk, starts_at_zero=True))
     return replace(aid, slow_errors=tuple(errors))
