@@ -6,6 +6,7 @@ turned into n.
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Self
 
 import numpy as np
@@ -40,8 +41,10 @@ class Origin:
 
     def to_ned(self, lat_deg: float, lon_deg: float, alt_m: float) -> Vec3:
         """Position in n [m] of a geodetic position, exact (ECEF)."""
-        n, e, d = pymap3d.geodetic2ned(lat_deg, lon_deg, alt_m, self.lat_deg, self.lon_deg, self.alt_m, _WGS84)
-        return float(n), float(e), float(d)
+        x, y, z = _ecef(lat_deg, lon_deg, alt_m)
+        x0, y0, z0 = _of_origin(*self.lla)
+        e, n, u = pymap3d.ecef2enuv(x - x0, y - y0, z - z0, self.lat_deg, self.lon_deg)
+        return float(n), float(e), -float(u)
 
     def to_geodetic(self, p_n: Array | Vec3) -> Vec3:
         """Latitude, longitude [deg], ellipsoid height [m] of a position in n."""
@@ -70,6 +73,14 @@ class Origin:
     def gravity(self) -> float:
         """Magnitude of gravity at the origin, m/s^2."""
         return normal_gravity(math.radians(self.lat_deg), self.alt_m)
+
+
+def _ecef(lat_deg: float, lon_deg: float, alt_m: float) -> Vec3:
+    x, y, z = pymap3d.geodetic2ecef(lat_deg, lon_deg, alt_m, _WGS84)
+    return float(x), float(y), float(z)
+
+
+_of_origin = lru_cache(maxsize=8)(_ecef)
 
 
 def normal_gravity(lat_rad: float, alt_m: float) -> float:

@@ -16,7 +16,7 @@ from estimator.sources.base.covariance import covariance_refusal, with_default
 from estimator.sources.base.rules import RULES
 from models.frames import Origin
 from models.measurements import Position, Velocity
-from models.messages import Array, GnssFix, GnssVelocity, Reason, ReceiverState
+from models.messages import GnssFix, GnssVelocity, Reason, ReceiverState
 
 FLAGGED = "the receiver reports "  # begins the detail of a fix whose receiver has raised a flag
 _AXES = np.arange(3)
@@ -117,7 +117,7 @@ def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
         rules=rules,
         absolute=True,
         log_false=log_false(rules, [FALSE_POSITION_M] * 3),
-        measurement=lambda origin: None if origin is None else Position(_to_ned(origin, *place), noise, _AXES, lever),
+        measurement=lambda origin: None if origin is None else Position(np.array(origin.to_ned(*place)), noise, _AXES, lever),
         log_misled=math.log(1.0 - config.trust) if config.trust < 1.0 else None,
         slow_errors=_slow("gnss", config.slow_sigma_m, config.slow_s),
         geodetic=None if is_spoofed else place,
@@ -125,11 +125,6 @@ def position_aid(fix: GnssFix, config: GnssConfig) -> Aid | Refusal:
         detail=f"{FLAGGED}jamming" if is_jammed else "",
         assumed=_NO_ACCURACY.format(f"horizontal_sigma_m {sigmas[0]:g}, vertical_sigma_m {sigmas[2]:g}") if is_assumed else "",
     )
-
-
-@lru_cache(maxsize=1024)  # a measurement that comes late has others done again
-def _to_ned(origin: Origin, lat_deg: float, lon_deg: float, alt_m: float) -> Array:
-    return np.array(origin.to_ned(lat_deg, lon_deg, alt_m))
 
 
 def _spoofed(_: Origin | None) -> Refusal:
