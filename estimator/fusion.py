@@ -60,6 +60,7 @@ _MOST: Final = np.repeat([2e7, 2e3, 1.1, 10.0, 100.0], [3, 3, 4, 3, 3])
 _UNIT: Final = 1e-6  # by which |q|^2 may differ from 1
 _OLDEST_S: Final = 1e9  # age of the last GNSS
 _RESET_SIGMA: Final = 5.0  # a larger jump is reported as a reset
+_BIASES = [f"{sensor}_{axis}{end}" for sensor in ("gyro", "accel") for axis in "xyz" for end in ("", "_sigma")]
 _RADIUS95 = 2.4477468  # sqrt of the 95 % point of chi-square with 2 degrees of freedom
 
 
@@ -471,8 +472,8 @@ class Fusion:
         hypotheses = tracker.alignment.bank
         radius = attitude = math.inf
         biases: dict[str, float] = {}
-        if hypotheses is not None and tracker.alignment.shown is not None:
-            cov = tracker.shown_covariance()  # as it is published
+        if hypotheses is not None and tracker.alignment.shown is not None and self._published is not None:
+            cov = self._published.covariance
             radius = _RADIUS95 * sigmas(cov[E.P, E.P])[0]
             attitude = math.degrees(math.sqrt(max(cov.diagonal().tolist()[E.THETA])))
             biases = _biases(hypotheses.lead.x, cov) | _wind(hypotheses.lead)
@@ -515,9 +516,8 @@ def _is_plausible(checkpoint: Checkpoint) -> bool:
 
 
 def _biases(x: Array, cov: Array) -> dict[str, float]:
-    names = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
-    known = zip(names, x.tolist()[X.BG.start :], cov.diagonal().tolist()[E.BG.start :], strict=True)
-    return {key: value for name, bias, var in known for key, value in ((name, bias), (f"{name}_sigma", math.sqrt(var)))}
+    known = np.array((x[X.BG.start :], np.sqrt(cov.diagonal()[E.BG.start :])))
+    return dict(zip(_BIASES, known.T.ravel().tolist(), strict=True))
 
 
 def _wind(lead: Eskf) -> dict[str, float]:

@@ -10,9 +10,10 @@ receiver does not outweigh fixes, unless its path is that of the estimate, turne
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from estimator.sources.base.aid import Aid
 from estimator.sources.base.faults import MAP_ELSEWHERE, MAP_ELSEWHERE_M, RECENT_NS
@@ -32,7 +33,7 @@ _LASTS_NS = 1_000_000_000  # shorter ones are outliers
 _NEAR = 0.1  # share of the positions of a receiver that is right which are nearer
 
 
-class Apart(NamedTuple):
+class Apart(msgspec.Struct, frozen=True, eq=False):
     """A source away from the estimate by off (3,) [m] of covariance s (3, 3) at last_ns.
 
     steady: readings in a row that agree; jumped: it was near just before, so that the IMU contradicts it.
@@ -80,7 +81,7 @@ class Apart(NamedTuple):
         return float(self.off @ np.linalg.solve(self.s, self.off))
 
 
-class Offset(NamedTuple):
+class Offset(msgspec.Struct, frozen=True, eq=False):
     """Newest position of a source, off (3,) [m] from the estimate, of variance (trace) [m^2]; path: of a receiver."""
 
     t_ns: int
@@ -90,7 +91,7 @@ class Offset(NamedTuple):
     path: Similarity = Similarity()
 
 
-class Conflicts(NamedTuple):
+class Conflicts(msgspec.Struct, frozen=True, eq=False):
     """apart: sources in lasting disagreement, by topic; newest: positions of all.
 
     contrary_ns: last rejected velocity of a receiver, by the topic of its positions.
@@ -117,25 +118,25 @@ class Conflicts(NamedTuple):
             is_steady = before is not None and np.linalg.norm(off - before.off) < _STEADY * np.linalg.norm(off)
             now = Apart(aid.t_ns, aid.t_ns, off, s, 0, False)
             if before is not None:
-                now = now._replace(since_ns=before.since_ns, steady=before.steady + 1 if is_steady else 0, jumped=before.jumped)
+                now = replace(now, since_ns=before.since_ns, steady=before.steady + 1 if is_steady else 0, jumped=before.jumped)
             elif last is not None and aid.t_ns - last.t_ns < RECENT_NS:
-                now = now._replace(jumped=now.distance2 > _JUMPS)
+                now = replace(now, jumped=now.distance2 > _JUMPS)
             if disagrees or not now.is_near:
-                return here._replace(apart={**self.apart, aid.topic: now})
+                return replace(here, apart={**self.apart, aid.topic: now})
         return here._agrees(aid.topic)
 
     def without(self, topic: str) -> "Conflicts":
         """Nothing of this source."""
         newest = {t: at for t, at in self.newest.items() if t != topic} if topic in self.newest else self.newest
-        return self._agrees(topic)._replace(newest=newest)
+        return replace(self._agrees(topic), newest=newest)
 
     def _agrees(self, topic: str) -> "Conflicts":
-        return self._replace(apart={t: a for t, a in self.apart.items() if t != topic}) if topic in self.apart else self
+        return replace(self, apart={t: a for t, a in self.apart.items() if t != topic}) if topic in self.apart else self
 
     def judged(self, aid: Aid, z: Measurement, position_n: Array, *, is_rejected: bool) -> "Conflicts":
         """Once aligned: sources whose positions are rejected, receivers whose velocities are."""
         if aid.receiver and is_rejected:
-            return self._replace(contrary_ns={**self.contrary_ns, aid.receiver: aid.t_ns})
+            return replace(self, contrary_ns={**self.contrary_ns, aid.receiver: aid.t_ns})
         if not aid.absolute:
             return self
         is_receiver, contrary_ns = aid.log_misled is not None, self.contrary_ns.get(aid.topic)

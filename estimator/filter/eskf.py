@@ -13,9 +13,10 @@ A kept pose (stochastic clone) is an estimated block (dp, theta).
 import math
 from collections.abc import Sequence
 from functools import cache
-from typing import NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 from numba import njit
 
 from estimator.filter.imu_buffer import ImuBuffer
@@ -35,7 +36,7 @@ _kalman = cache(ErrorStateKalman)  # one wrapper for each size of the state
 _identity = cache(np.eye)
 
 
-class Innovation(NamedTuple):
+class Innovation(msgspec.Struct, frozen=True, eq=False):
     """One measurement against one state: nu (m,), H and H P (m, n), R, f S (m, m), nu^T (f S)^-1 nu, ln det f S.
 
     besides: ln density of what is left out of it.
@@ -213,9 +214,8 @@ class Eskf:
 
     def update(self, seen: Innovation) -> None:
         """Fuse a gated measurement."""
-        columns, tau_s, psd, mean, estimated = self.slow
-        mean, self.sound = fused(self.x, self.cov, seen.nu, seen.h, seen.noise, mean, estimated)
-        self.slow = SlowErrors(columns, tau_s, psd, mean, estimated)
+        mean, self.sound = fused(self.x, self.cov, seen.nu, seen.h, seen.noise, self.slow.mean, self.slow.estimated)
+        self.slow = replace(self.slow, mean=mean)
         for block in self.clones:
             self._correct_pose(block)
 

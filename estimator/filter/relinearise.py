@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from estimator.filter.eskf import Eskf, inject
@@ -220,7 +221,7 @@ def _fuse(run: Eskf, dx: Array, taken: Taken) -> Array:
     distance2, _ = mahalanobis(nu, seen.s)
     if distance2 > gate(taken.aid.rules.gate_probability, len(nu)) and not taken.follows:
         return dx
-    return dx + run.correct(seen._replace(nu=nu))
+    return dx + run.correct(msgspec.structs.replace(seen, nu=nu))
 
 
 def _smoothed(means: list[Array], covs: list[Array], links: list[Link]) -> list[Array]:

@@ -1,15 +1,15 @@
 """Errors that repeat from fix to fix, behind the 15 states: blocks of first-order Gauss-Markov processes."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from models.messages import Array
 from models.state import E
 
 
-class SlowErrors(NamedTuple):
+class SlowErrors(msgspec.Struct, frozen=True, eq=False):
     """columns: of each block in P, the last used last; tau_s, psd, mean: (k,);
 
     psd: variance per second, 2 sigma^2 / tau for a steady sigma; estimated: (k,) 1, considered: 0.

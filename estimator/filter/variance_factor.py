@@ -11,7 +11,8 @@ count. f >= 1; published, it lasts four times as long. Of several sources the le
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import NamedTuple
+
+import msgspec
 
 from estimator.sources.base.faults import RECENT_S
 from estimator.sources.base.gating import USUAL, gate
@@ -24,7 +25,7 @@ _ENOUGH = 20  # readings in a row
 _FADES_S, _LASTS_S, _GONE = 30.0, 120.0, 1.01
 
 
-class Recent(NamedTuple):
+class Recent(msgspec.Struct, frozen=True, eq=False):
     """Newest ratios r of a topic, and e."""
 
     t_ns: int
@@ -32,7 +33,7 @@ class Recent(NamedTuple):
     excess: float
 
 
-class VarianceFactor(NamedTuple):
+class VarianceFactor(msgspec.Struct, frozen=True, eq=False):
     """value: f at t_ns; recent: by topic; usual: consecutive readings with a usual median; lasting: published f."""
 
     value: float = 1.0

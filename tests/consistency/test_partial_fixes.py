@@ -8,6 +8,7 @@ the point is in body axes, which is exactly the same from every place on a spher
 from typing import NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 
 from estimator.filter.eskf import Eskf
 from estimator.filter.hypotheses import innovation
@@ -76,7 +77,7 @@ def _fuse(fix: LandmarkFix, prior: Prior, *, bends: bool = True) -> Eskf:
     assert isinstance(z, PartialPose)
     eskf = Eskf(0, prior.x.copy(), prior.cov.copy(), CONSTANTS)
     seen = innovation(eskf, aid, z, np.zeros(3))
-    eskf.update(seen if bends else seen._replace(noise=z.noise))  # the control takes the linear model for the truth
+    eskf.update(seen if bends else replace(seen, noise=z.noise))  # the control takes the linear model for the truth
     return eskf
 
 

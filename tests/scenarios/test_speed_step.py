@@ -61,7 +61,7 @@ def _reading(t_s: float, nu: Vec3, before: SpeedStep | None = None) -> SpeedStep
     if before is None:
         return SpeedStep(t_ns, x, np.array(nu), variance, agrees=True, scatter2=0.02, usual=10)
     after = before.after(t_ns, np.array(nu), x, variance)
-    return after._replace(t_ns=t_ns, nu=np.array(nu), followed=bool(after.net.any()))
+    return replace(after, t_ns=t_ns, nu=np.array(nu), followed=bool(after.net.any()))
 
 
 def test_a_speed_that_fits_the_state_before_is_no_step() -> None:

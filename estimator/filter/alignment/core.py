@@ -1,7 +1,8 @@
 """Shared by alignment and tracker: filters, constants, state of position sources."""
 
-from typing import Final, NamedTuple
+from typing import Final
 
+import msgspec
 import numpy as np
 
 from estimator.filter.alignment.config import TrackerConfig
@@ -22,7 +23,7 @@ _NO_IMU = np.zeros(6)
 _AIDED_NS: Final = 3_000_000_000  # after a position; then the mode is dead_reckoning
 
 
-class Decision(NamedTuple):
+class Decision(msgspec.Struct, frozen=True, eq=False):
     """Decision on a measurement.
 
     position: innovation and sigma, (3,) NED m, or None.

@@ -9,6 +9,8 @@ not.
 
 import math
 
+from msgspec.structs import replace
+
 from estimator.filter.eskf import Innovation
 from estimator.filter.hypotheses.follower import AGAIN_S
 from estimator.filter.hypotheses.hypothesis import MARGIN, Hypothesis
@@ -36,7 +38,7 @@ def taken(members: list[Hypothesis], aid: Aid, z: Measurement, seen: list[Innova
             member.turned = {topic: t_ns for topic, t_ns in member.turned.items() if topic != aid.topic}
         elif _confirms(part, aid) and part.log_likelihood + false > aid.log_false + MARGIN:
             again = -math.inf if last_ns is None else true - (aid.t_ns - last_ns) * 1e-9 / AGAIN_S
-            counts[k] = part._replace(besides=max(false, again))
+            counts[k] = replace(part, besides=max(false, again))
             member.turned = {**member.turned, aid.topic: aid.t_ns}
     return counts
 

@@ -7,7 +7,8 @@ them.
 """
 
 import math
-from typing import NamedTuple
+
+import msgspec
 
 from estimator.filter.eskf import Innovation
 from estimator.filter.hypotheses.follower import again_s
@@ -17,7 +18,7 @@ from estimator.sources.base.aid import Aid
 from estimator.sources.base.faults import lasts_s
 
 
-class Evidence(NamedTuple):
+class Evidence(msgspec.Struct, frozen=True, eq=False):
     """One reading, by hypothesis: seen; passed: inside the gate; again: ln weight, None after a reading that was not false.
 
     doubted: largest weight of one that leaves the source out; by_receiver: what a velocity adds on average to the weights of

@@ -16,8 +16,8 @@ the leading one refuses is a conflict: both count alike in the covariance until 
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from estimator.filter.eskf import Eskf, Innovation
@@ -39,7 +39,7 @@ _LEAST_DOUBT = 1.0  # ln: one without the measurement starts at least this far b
 _TINY = 1e-9
 
 
-class Verdict(NamedTuple):
+class Verdict(msgspec.Struct, frozen=True, eq=False):
     """The leader's answer; used: what of the reading counts; wrong: sensors that the leader does without."""
 
     seen: Innovation

@@ -8,8 +8,9 @@ studies of DerSimonian and Laird 1986.)
 """
 
 from collections.abc import Container, Mapping
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
+import msgspec
 import numpy as np
 
 from estimator.sources.base.faults import RECENT_NS
@@ -22,7 +23,7 @@ _SHOWN = 3.0  # times the noise of a mean
 _TINY = 1e-12
 
 
-class Mean(NamedTuple):
+class Mean(msgspec.Struct, frozen=True, eq=False):
     """m (3,) [m] of a source at t_ns; variance: tr R of its newest fix, m^2."""
 
     t_ns: int

@@ -10,8 +10,8 @@ averages' last seconds. (Kailath 1968; Mehra 1972; Sage and Husa 1969; Roberts 1
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import NamedTuple
 
+import msgspec
 import numpy as np
 from msgspec.structs import replace
 
@@ -32,7 +32,7 @@ _MOST = 1e6
 _MOST_GYRO, _MOST_ACCEL = 1e-3, 0.03  # rad/s^2/sqrt(Hz), m/s^3/sqrt(Hz): no IMU is worse
 
 
-class Whiteness(NamedTuple):
+class Whiteness(msgspec.Struct, frozen=True, eq=False):
     """Of the innovations of one source: e and m."""
 
     size: float = 1.0
@@ -55,7 +55,7 @@ class Whiteness(NamedTuple):
 _WHITE = Whiteness()
 
 
-class BiasWalk(NamedTuple):
+class BiasWalk(msgspec.Struct, frozen=True, eq=False):
     """Innovations by topic, factor on the variance per second."""
 
     sources: Mapping[str, Whiteness] = MappingProxyType({})

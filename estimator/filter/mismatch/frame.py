@@ -13,9 +13,10 @@ shows nothing: the heading may be what is wrong.
 
 import itertools
 import math
-from typing import NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 from numba import njit
 
 from estimator.filter.imu_buffer import ImuBuffer
@@ -47,7 +48,7 @@ _TINY = 1e-12
 _XV, _XQ, _XG = X.V.start, X.Q.start, X.BG.start  # compiled code reads plain integers
 
 
-class Moments(NamedTuple):
+class Moments(msgspec.Struct, frozen=True, eq=False):
     """Sums over pairs of ways since t0_ns: of (1, a, d), (2, 7, 7); turned (3,): squared rotation, what attitudes leave of it.
 
     A way from one fix to the next, (2, 2, 7): what a pair has of its second way, and less of its first, with each attitude.
@@ -90,7 +91,7 @@ class Moments(NamedTuple):
         return None if is_worse else (int(at[1]), _MAPS[at[2]], float(k[at]))
 
 
-class Frame(NamedTuple):
+class Frame(msgspec.Struct, frozen=True, eq=False):
     """Of one source: its last fix, the way to it, the sums; says: what it gives instead, "" right, None not shown."""
 
     t_ns: int
@@ -112,7 +113,7 @@ class Frame(NamedTuple):
             return self
         i = samples.first_after(self.t_ns)
         if not 0 < between_ns <= _LONGEST_NS or i == 0:
-            return self._replace(t_ns=t_ns, p_n=p_n, q_nb_wxyz=q_nb_wxyz, way=None)
+            return replace(self, t_ns=t_ns, p_n=p_n, q_nb_wxyz=q_nb_wxyz, way=None)
         x = imu.moved(_AT_REST, samples.t_ns, samples.u, samples.count, i, self.t_ns, t_ns, _CONSTANTS)
         way, turned = _way(x, between_ns * 1e-9, self.p_n, self.q_nb_wxyz, p_n, q_nb_wxyz)
         moments = self.moments if (t_ns - self.moments.t0_ns) * 1e-9 < LONG_S else _nothing(t_ns)

@@ -13,8 +13,9 @@ of innovations: Mehra 1970)
 import math
 from collections.abc import Mapping
 from dataclasses import replace as replace_in
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
+import msgspec
 import numpy as np
 from msgspec.structs import replace
 from numba import njit
@@ -34,7 +35,7 @@ _GAIN, _LN_MEAN, _BOUND = 0.03, 0.73, 1.65  # a; E ln chi2_3; b: three sigmas of
 _LEAST_LN, _MOST_LN = -6.0, 2.0  # of ln r - E ln chi2_3
 
 
-class Reading(NamedTuple):
+class Reading(msgspec.Struct, frozen=True, eq=False):
     """nu (m,), reported R (m, m), r by block, () for the first two; whether it was far off, and whether it was fused."""
 
     nu: Array
@@ -44,7 +45,7 @@ class Reading(NamedTuple):
     fused: bool
 
 
-class Scatter(NamedTuple):
+class Scatter(msgspec.Struct, frozen=True, eq=False):
     """Factors s, y and rho of a source at t_ns, by block; last: its readings."""
 
     t_ns: int

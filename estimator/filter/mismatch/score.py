@@ -13,8 +13,9 @@ dx / dc of the readings. (Rao 1948; Friedland 1969.)
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
+import msgspec
 import numpy as np
 from msgspec.structs import replace
 from numba import njit
@@ -37,7 +38,7 @@ _TINY = 1e-12
 _NOTHING = np.zeros((0, 5))
 
 
-class Constant(NamedTuple):
+class Constant(msgspec.Struct, frozen=True, eq=False):
     """What a source may have, and how it shows.
 
     sigma, walk: of c as a state, its variance per second; known: sigma that the sums must reach; most: largest |c|. jacobian: J
@@ -59,7 +60,7 @@ class Constant(NamedTuple):
         return f"{topic}.{self.name}"
 
 
-class Sums(NamedTuple):
+class Sums(msgspec.Struct, frozen=True, eq=False):
     """Sums of one constant of one source since since_ns, and number of readings; is_state: it is estimated.
 
     before: information and score of the previous minute; offset (3, 5): B, C, e.
@@ -113,7 +114,7 @@ class Sums(NamedTuple):
         if shown:
             total, scores = now.evidence
             shown = total * c.known**2 > 1.0 and scores**2 > _SIGMAS**2 * total
-        return now._replace(is_state=True) if shown else now
+        return replace(now, is_state=True) if shown else now
 
 
 Scores: TypeAlias = Mapping[str, Sums]  # by block

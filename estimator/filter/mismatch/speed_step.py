@@ -9,9 +9,10 @@ agrees end it. It counts once the estimate follows: a reading is fused.
 """
 
 import math
-from typing import NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from estimator.filter.hypotheses import Hypothesis
 from estimator.filter.imu_buffer import ImuBuffer
@@ -32,7 +33,7 @@ _IMPACT_M_S2 = 30.0
 _TIMING_S = 0.1  # of stamps and filters of receivers: what acceleration makes of it is no step
 
 
-class SpeedStep(NamedTuple):
+class SpeedStep(msgspec.Struct, frozen=True, eq=False):
     """A receiver's newest reading, the state x (16,) after it, nu (3,) [m/s] from there; agrees: it was fused.
 
     scatter2: mean square of the usual steps, of `usual` readings; before: time and state before an unconfirmed step.
@@ -62,21 +63,21 @@ class SpeedStep(NamedTuple):
         usual = self.usual + 1
         share = max(1.0 / usual, -math.expm1(-dt_s / _USUAL_S))
         scatter2 = self.scatter2 + share * (float(step @ step) / XYZ - self.scatter2)
-        return self._replace(in_a_row=0, usual=usual, scatter2=scatter2)
+        return replace(self, in_a_row=0, usual=usual, scatter2=scatter2)
 
     def _stepped(self, step: Array) -> "SpeedStep":
         net, in_a_row = self.net + step, self.in_a_row + 1
         if math.hypot(*net.tolist()) < _LEAST_M_S or in_a_row >= _OF_IMU:
-            return self.ended._replace(in_a_row=in_a_row)
+            return replace(self.ended, in_a_row=in_a_row)
         since_ns = self.since_ns if self.is_open else self.t_ns
-        return self._replace(net=net, since_ns=since_ns, in_a_row=in_a_row, before=self.before or (self.t_ns, self.x))
+        return replace(self, net=net, since_ns=since_ns, in_a_row=in_a_row, before=self.before or (self.t_ns, self.x))
 
     def confirmed(self, nu: Array) -> "SpeedStep":
         """nu (3,): of a reading 2 s after the step, from the state before it; small: the readings before were off."""
         size = math.hypot(*nu.tolist())
         if size < max(_LEAST_M_S, _CONFIRMED * math.hypot(*self.net.tolist())):
             return self.ended
-        return self._replace(net=nu, before=None)
+        return replace(self, net=nu, before=None)
 
     @property
     def is_open(self) -> bool:
@@ -86,7 +87,7 @@ class SpeedStep(NamedTuple):
     @property
     def ended(self) -> "SpeedStep":
         """Without a step."""
-        return self._replace(net=_NOTHING, followed=False, before=None)
+        return replace(self, net=_NOTHING, followed=False, before=None)
 
     @property
     def covariance(self) -> Array | None:
@@ -122,7 +123,7 @@ def noted(
         if before.before is not None and aid.t_ns - before.before[0] >= _CONFIRMED_NS:
             before = before.confirmed(z.evaluate(_moved(*before.before, aid.t_ns, samples, lead), gyro_b)[0])
     followed = before.followed or (fused and before.is_open)
-    now = before._replace(t_ns=aid.t_ns, x=x, nu=nu, variance=variance, agrees=fused, followed=followed)
+    now = replace(before, t_ns=aid.t_ns, x=x, nu=nu, variance=variance, agrees=fused, followed=followed)
     return {**steps, aid.witness: now}
 
 
@@ -142,8 +143,8 @@ def positioned(steps: Steps, aid: Aid) -> Steps:
     if not any(step.is_open for step in steps.values()):
         return steps
     if aid.geodetic:
-        return {topic: s._replace(followed=s.is_open) if topic == aid.topic else s for topic, s in steps.items()}
-    return {topic: s.ended if s.agrees else s._replace(since_ns=aid.t_ns) for topic, s in steps.items()}
+        return {topic: replace(s, followed=s.is_open) if topic == aid.topic else s for topic, s in steps.items()}
+    return {topic: s.ended if s.agrees else replace(s, since_ns=aid.t_ns) for topic, s in steps.items()}
 
 
 def remarks(steps: Steps) -> list[str]:

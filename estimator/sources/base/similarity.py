@@ -7,14 +7,14 @@ p', g', d': from their means. A receiver that is misled turns no map: where a tu
 be what is wrong. On a straight way of constant speed a drift looks the same.
 """
 
-from typing import NamedTuple
+import msgspec
 
 _FEWEST = 25
 _LEFT = 0.05  # of sum |d'|^2
 _LEAST = 0.5  # |a|: a receiver that stands still has 0
 
 
-class Similarity(NamedTuple):
+class Similarity(msgspec.Struct, frozen=True, eq=False):
     """n pairs; means of p and g [m], complex: north + i east; sums |p'|^2, |g'|^2, g' conj(p')."""
 
     n: int = 0

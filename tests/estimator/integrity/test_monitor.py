@@ -4,6 +4,7 @@ from collections.abc import Callable
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from estimator.config import parse
 from estimator.fusion import Fusion
@@ -139,7 +140,7 @@ def test_the_levels_keep_the_variance_factor_as_long_as_the_published_covariance
     t_ns = run.integrity[-1].t_ns
     tracker, monitor = run.fusion._history.tracker, run.fusion._integrity
     usual = monitor.at(tracker, t_ns, t_ns)
-    tracker.core.variance_factor = tracker.core.variance_factor._replace(lasting=9.0)
+    tracker.core.variance_factor = replace(tracker.core.variance_factor, lasting=9.0)
     wide = monitor.at(tracker, t_ns, t_ns)
     assert wide.hpls_m[0] > 1.5 * usual.hpls_m[0]
 

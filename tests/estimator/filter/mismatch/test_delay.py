@@ -250,7 +250,7 @@ def test_what_is_left_of_the_configured_sigma_once_readings_have_shown_something
     a, b = 1e4, 1e2  # 10 ms, of a sigma of 10 ms
     some = Sums(EPOCH_NS, a, b)
     np.testing.assert_allclose(_covariance(some, v_n), (1.0 / 12500.0 + (100.0 / 12500.0) ** 2) * vv)
-    assert delay.covariance(some._replace(is_state=True), 0.02, v_n) is None
+    assert delay.covariance(replace(some, is_state=True), 0.02, v_n) is None
     one = np.eye(1)
     later = some.also(DELAY, EPOCH_NS + 61 * SECOND, Innovation(np.zeros(1), one, 1e-12 * one, one, one, 0.0, 0.0), 0)
     assert later.information < a  # the sums are new; what the minute before has shown still counts

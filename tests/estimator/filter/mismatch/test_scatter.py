@@ -40,8 +40,8 @@ def test_the_noise_of_positions_is_found_and_that_of_attitudes_left() -> None:
 @pytest.mark.parametrize(("fused", "by_chance"), [(0, 0), (2, 2), (5, 0)])
 def test_one_or_two_that_were_fused_passed_by_chance(fused: int, by_chance: int) -> None:
     noisy = _after(_noise(30, 25.0))
-    last = tuple(reading._replace(fused=k >= len(noisy.last) - fused) for k, reading in enumerate(noisy.last))
-    assert noisy._replace(last=last).by_chance == by_chance
+    last = tuple(replace(reading, fused=k >= len(noisy.last) - fused) for k, reading in enumerate(noisy.last))
+    assert replace(noisy, last=last).by_chance == by_chance
 
 
 @pytest.mark.parametrize("way", ["constant", "drifts", "three outliers"])
