@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
+import msgspec
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -43,8 +44,7 @@ class Measurement(Protocol):
         """nu (m,) and H (m, 15) at the nominal state x (16,); gyro_b: raw rate (3,), rad/s."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Position:
+class Position(msgspec.Struct, frozen=True, eq=False):
     """z = p + R_nb l, of given axes of n.
 
     z_n: (3,) m; noise: (m, m) m^2; rows: given components; lever_b: IMU to the point, m.
@@ -61,8 +61,7 @@ class Position:
         return (nu, h) if len(self.rows) == len(nu) else (nu[self.rows], h[self.rows])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Velocity:
+class Velocity(msgspec.Struct, frozen=True, eq=False):
     """z = v + R_nb ((w - b_g) x l), m/s in n, of an antenna at lever_b; noise (3, 3)."""
 
     z_n: Array
@@ -79,8 +78,7 @@ class Velocity:
         return _velocity(x, self.z_n, self.lever_b, gyro_b)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Pose:
+class Pose(msgspec.Struct, frozen=True, eq=False):
     """Position and attitude, given components.
 
     rows: of (x y z rx ry rz); noise (m, m) in that order. Attitude: whole, roll and pitch, yaw, or none.

@@ -8,12 +8,13 @@ with eight headings (Gaussian sum; Sorenson and Alspach 1971), not at rest.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Final
 
 import msgspec
 import numpy as np
 from msgspec import Meta
+from msgspec.structs import replace
 
 from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.hypotheses import Hypotheses, Hypothesis, innovation, ln_sum

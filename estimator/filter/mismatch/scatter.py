@@ -12,7 +12,6 @@ of innovations: Mehra 1970)
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace as replace_in
 from typing import TypeAlias
 
 import msgspec
@@ -105,14 +104,14 @@ def taken(aid: Aid, z: Measurement, known: Scatter | None) -> tuple[Aid, Measure
     if known is None or not isinstance(z, Pose | Position | Velocity):
         return aid, z
     if known.factors:
-        return aid, replace_in(z, noise=known.widened(z.noise))
+        return aid, replace(z, noise=known.widened(z.noise))
     is_given = any(e.block == pose.look(aid.topic) for e in aid.slow_errors)
     if is_given or len(z.rows) != 2 * XYZ or not any(known.shares):
         return aid, z
     shares = np.repeat(known.shares, XYZ)
     lasts, own = np.sqrt(shares), np.sqrt(1.0 - shares)
     error = pose.lasting(aid.topic, lasts[:, None] * z.noise * lasts)
-    return replace(aid, slow_errors=(*aid.slow_errors, error)), replace_in(z, noise=own[:, None] * z.noise * own)
+    return replace(aid, slow_errors=(*aid.slow_errors, error)), replace(z, noise=own[:, None] * z.noise * own)
 
 
 def _bends(a: Reading, b: Reading, nu: Array, noise: Array) -> tuple[float, ...]:
