@@ -4,8 +4,8 @@ A state beyond them is not published, and the estimator begins again.
 """
 
 import math
-from functools import cache
-from typing import Annotated, Literal, NamedTuple, TypeAlias
+from functools import lru_cache
+from typing import Annotated, Literal, TypeAlias
 
 import msgspec
 import numpy as np
@@ -24,26 +24,13 @@ Vehicle: TypeAlias = Literal["any", "multirotor", "fixed_wing", "rover", "boat"]
 _TILT_SIGMA = math.radians(60.0)  # the error state's attitude is a small angle; gravity shows roll and pitch better than this
 
 
-class Limits(NamedTuple):
-    """Speed [m/s], height above the ellipsoid [m], lowest and highest."""
-
-    speed_m_s: float
-    lowest_m: float
-    highest_m: float
-
-
-_LIMITS: dict[Vehicle, Limits] = {
-    "any": Limits(200.0, -1000.0, 20_000.0),
-    "multirotor": Limits(60.0, -1000.0, 9000.0),
-    "fixed_wing": Limits(150.0, -1000.0, 20_000.0),
-    "rover": Limits(70.0, -1000.0, 6000.0),
-    "boat": Limits(40.0, -200.0, 4000.0),
+_LIMITS: dict[Vehicle, tuple[float, float, float]] = {  # speed [m/s], height above the ellipsoid [m], lowest and highest
+    "any": (200.0, -1000.0, 20_000.0),
+    "multirotor": (60.0, -1000.0, 9000.0),
+    "fixed_wing": (150.0, -1000.0, 20_000.0),
+    "rover": (70.0, -1000.0, 6000.0),
+    "boat": (40.0, -200.0, 4000.0),
 }
-
-
-@cache
-def _limits(vehicle: Vehicle, *given: float | None) -> Limits:
-    return Limits(*(float(of_kind if own is None else own) for own, of_kind in zip(given, _LIMITS[vehicle], strict=True)))
 
 
 class BoundsConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -59,19 +46,15 @@ class BoundsConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         50_000.0
     )
 
-    @property
-    def limits(self) -> Limits:
-        """Those given, else those of the vehicle."""
-        return _limits(self.vehicle, self.speed_m_s, self.lowest_m, self.highest_m)
-
     def violation(self, x: Array, cov: Array, origin_m: float) -> str:
         """What of x (16,) and P (n, n) is out of bounds; '' for nothing.
 
         origin_m: ellipsoid height of n's origin, 0 where unknown.
         """
-        fastest, lowest, highest = self.limits
-        if is_within(x, cov, fastest, origin_m - highest, origin_m - lowest, self.sigma_m):  # nearly every call
+        fastest, least_down, most_down, sigma = limits(self, origin_m)
+        if is_within(x, cov, fastest, least_down, most_down, sigma):  # nearly every call
             return ""
+        lowest, highest = origin_m - most_down, origin_m - least_down
         state, variances = x.tolist(), cov.diagonal().tolist()
         speed = math.hypot(*state[X.V])
         if not speed <= fastest:
@@ -80,13 +63,21 @@ class BoundsConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         if not lowest <= height <= highest:
             return f"height of {height:.0f} m is outside [bounds] lowest_m = {lowest:g} to highest_m = {highest:g}"
         variance = max(variances[E.P])
-        if not variance <= self.sigma_m**2:
+        if not variance <= sigma**2:
             return f"position sigma of {math.sqrt(variance):.3g} m exceeds [bounds] sigma_m = {self.sigma_m:g}"
         theta, down_b = cov[E.THETA, E.THETA], so3.matrix(x[X.Q])[2]  # heading may be unknown, tilt is not
         tilt = 0.5 * float(np.trace(theta) - down_b @ theta @ down_b)
         if not tilt <= _TILT_SIGMA**2:
             return f"roll and pitch are known to {math.degrees(math.sqrt(tilt)):.0f} deg only"
         return ""
+
+
+@lru_cache(maxsize=8)
+def limits(config: BoundsConfig, origin_m: float) -> tuple[float, float, float, float]:
+    """Of is_within, with those of the vehicle where they are not given; origin_m: see BoundsConfig."""
+    own = zip((config.speed_m_s, config.lowest_m, config.highest_m), _LIMITS[config.vehicle], strict=True)
+    fastest, lowest, highest = [float(of_kind if given is None else given) for given, of_kind in own]
+    return fastest, origin_m - highest, origin_m - lowest, float(config.sigma_m)
 
 
 _XP, _XV, _P, _T, _G = X.P.start, X.V.start, E.P.start, E.THETA.start, E.BG.start  # compiled code reads plain integers

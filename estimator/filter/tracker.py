@@ -22,6 +22,7 @@ from estimator.filter.alignment import (
     lacks,
     widen_unaligned,
 )  # fmt: skip
+from estimator.filter.bounds import limits
 from estimator.filter.conflict import Conflicts
 from estimator.filter.eskf import Eskf, Innovation
 from estimator.filter.hypotheses import Hypotheses, Hypothesis, Verdict
@@ -190,9 +191,7 @@ class Tracker:
     @property
     def limits(self) -> tuple[float, float, float, float]:
         """Limits of what is published (bounds.is_within)."""
-        bounds, origin_m = self.core.config.bounds, float(self.place[2]) if self.place else 0.0
-        fastest, lowest, highest = bounds.limits
-        return fastest, origin_m - highest, origin_m - lowest, float(bounds.sigma_m)
+        return limits(self.core.config.bounds, self.place[2] if self.place else 0.0)
 
     def violation(self, eskf: Eskf) -> str:
         """Implausible parts of the state; '' for none."""

@@ -74,7 +74,7 @@ class Moments(msgspec.Struct, frozen=True, eq=False):
         s_aa = np.maximum(s_a.trace(axis1=1, axis2=2), _TINY)[:, None]
         along = s_da.reshape(2, -1) @ _MAPS.reshape(len(_MAPS), -1).T
         k = np.maximum(along, 0.0) / s_aa
-        k = np.stack((np.ones_like(k), np.where((k > _NO_UNIT[0]) & (k < _NO_UNIT[1]), 1.0, k)))
+        k = np.array((np.ones(k.shape), np.where((k > _NO_UNIT[0]) & (k < _NO_UNIT[1]), 1.0, k)))
         left = (s_d - 2.0 * k * along + k * k * s_aa) / s_d  # (k, attitude, M)
         cost = n * np.log(np.maximum(left, _TINY)) + _CHANGES
         wrong = (self.turned[1:] > _TURN_LEFT * self.turned[0]) | (np.abs(self.sums[:, 0, XYZ]) > _HEAVY_M_S * n)

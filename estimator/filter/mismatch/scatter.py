@@ -105,8 +105,7 @@ def taken(aid: Aid, z: Measurement, known: Scatter | None) -> tuple[Aid, Measure
         return aid, z
     if known.factors:
         return aid, replace(z, noise=known.widened(z.noise))
-    is_given = any(e.block == pose.look(aid.topic) for e in aid.slow_errors)
-    if is_given or len(z.rows) != 2 * XYZ or not any(known.shares):
+    if len(z.rows) != 2 * XYZ or not any(known.shares) or pose.look(aid.topic) in [e.block for e in aid.slow_errors]:
         return aid, z
     shares = np.repeat(known.shares, XYZ)
     lasts, own = np.sqrt(shares), np.sqrt(1.0 - shares)

@@ -20,5 +20,5 @@ def cusum(sums: tuple[float, ...], nu: Array, sigma: Array, slack: float) -> tup
     """
     if len(sums) != 2 * len(nu):
         sums = (0.0,) * (2 * len(nu))
-    both = [side for n, s in zip(nu.tolist(), sigma.tolist(), strict=True) for side in (n / s, -n / s)]
-    return tuple([max(0.0, before + (side - slack)) for before, side in zip(sums, both, strict=True)])
+    z: list[float] = (nu / sigma).tolist()
+    return tuple([max(0.0, before + (side - slack)) for before, side in zip(sums, z + [-x for x in z], strict=True)])
