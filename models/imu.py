@@ -36,7 +36,7 @@ _XP, _XV, _XQ, _XG, _XA = X.P.start, X.V.start, X.Q.start, X.BG.start, X.BA.star
 
 _NS = 1e-9  # s per ns
 _EARTH_RADIUS = 6_371_000.0  # m, mean
-_NONE, _NOTHING = np.zeros(0), np.zeros((0, 0))
+_NONE, NOTHING = np.zeros(0), np.zeros((0, 0))
 _LANES = 8  # numbers that a vector register holds
 # What a step calls is inlined: a call counts references to every array that it hands over, a quarter of the time of a step.
 
@@ -425,22 +425,22 @@ def _into(cov: Array, p: Array) -> None:
 
 def propagate(
     x: Array, cov: Array, t_ns: NDArray[np.int64], u: Array, known: Array, count: int, i: int, from_ns: int, to_ns: int,
-    c: Array, tau: Array, psd: Array,
+    c: Array, tau: Array, psd: Array, whole: Array = NOTHING,
 ) -> bool:  # fmt: skip
     """State and covariance from `from_ns` to `to_ns`, in place; False where unsound (state.sound).
 
     x: (16,); cov: (n, n), n = 15 + slow errors; t_ns (>= count,), u (>= count, 6): samples, gyro then accel; known (>= count,
     sampling.SIZE): sampling.learn, or zero; i: first sample with t_ns[i] > from_ns; c: constants(); tau, psd: (n - 15,), s and
-    variance per s. Samples are interpolated; beyond the gap the state coasts. A stop at a sample's time changes no bit; one
-    between splits the interval.
+    variance per s; whole: (15, 15) <- Phi whole, or empty. Samples are interpolated; beyond the gap the state coasts. A stop at
+    a sample's time changes no bit; one between splits the interval.
     """
-    return bool(advance(x, cov, _NOTHING, t_ns, u, known, count, i, from_ns, to_ns, c, tau, psd))
+    return bool(advance(x, cov, whole, t_ns, u, known, count, i, from_ns, to_ns, c, tau, psd))
 
 
 def transition(x: Array, t_ns: NDArray[np.int64], u: Array, count: int, i: int, from_ns: int, to_ns: int, c: Array) -> Array:
     """Phi (15, 15) from `from_ns` to `to_ns` along the motion from x (unchanged)."""
     whole: Array = np.eye(_N)
-    advance(x.copy(), _NOTHING, whole, t_ns, u, _NOTHING, count, i, from_ns, to_ns, c, _NONE, _NONE)
+    advance(x.copy(), NOTHING, whole, t_ns, u, NOTHING, count, i, from_ns, to_ns, c, _NONE, _NONE)
     return whole
 
 
@@ -487,5 +487,5 @@ def interpolate(t_ns: NDArray[np.int64], u: Array, count: int, i: int, at_ns: in
 def moved(x: Array, t_ns: NDArray[np.int64], u: Array, count: int, i: int, from_ns: int, to_ns: int, c: Array) -> Array:
     """The nominal state (16,) at `to_ns`, from x at `from_ns`, which is not changed: propagate without a covariance."""
     after = x.copy()
-    advance(after, _NOTHING, _NOTHING, t_ns, u, _NOTHING, count, i, from_ns, to_ns, c, _NONE, _NONE)
+    advance(after, NOTHING, NOTHING, t_ns, u, NOTHING, count, i, from_ns, to_ns, c, _NONE, _NONE)
     return after

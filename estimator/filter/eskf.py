@@ -87,12 +87,12 @@ class Eskf:
         """An independent filter in the same state."""
         return Eskf(self.t_ns, self.x.copy(), self.cov.copy(), self.constants, self.slow, self.variance_factor, self.clones)
 
-    def propagate(self, samples: ImuBuffer, index: int, to_ns: int) -> None:
-        """Through the IMU samples to `to_ns`; index: first sample after t_ns."""
+    def propagate(self, samples: ImuBuffer, index: int, to_ns: int, whole: Array = imu.NOTHING) -> None:
+        """Through the IMU samples to `to_ns`; index: first sample after t_ns; whole: see imu.propagate."""
         s = self.slow
         self.sound = imu.propagate(
             self.x, self.cov, samples.t_ns, samples.u, samples.known, samples.count, index, self.t_ns, to_ns,
-            self.constants, s.tau_s, s.psd,
+            self.constants, s.tau_s, s.psd, whole,
         )  # fmt: skip
         self.t_ns = to_ns
 

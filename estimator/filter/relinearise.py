@@ -200,8 +200,8 @@ def _run(stretch: Stretch, path: list[Array], samples: ImuBuffer, like: Eskf) ->
     means, covs, links, predicted = [dx], [run.cov[: E.SIZE, : E.SIZE].copy()], [], dx
     for x, taken in zip(path[1:], stretch.taken, strict=True):
         index, to_ns = samples.first_after(run.t_ns), taken.aid.t_ns
-        phi = imu.transition(run.x, samples.t_ns, samples.u, samples.count, index, run.t_ns, to_ns, run.constants)
-        run.propagate(samples, index, to_ns)
+        phi = np.eye(E.SIZE)
+        run.propagate(samples, index, to_ns, phi)
         off = local(x, run.x)
         jacobian = so3.right_jacobian_inverse(off[E.THETA])
         phi[E.THETA] = jacobian @ phi[E.THETA]
