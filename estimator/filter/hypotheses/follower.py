@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from estimator.filter.hypotheses.hypothesis import MARGIN, Hypothesis
+from estimator.filter.hypotheses.hypothesis import MARGIN, MORE, RUN_ENDS_S, Hypothesis
 from estimator.filter.hypotheses.innovation import innovation
 from estimator.sources.base.aid import Aid
 from estimator.sources.base.faults import LONG_S, lasts_s
@@ -95,6 +95,20 @@ def raise_alternative(members: list[Hypothesis], aid: Aid, fused: list[bool], *,
     if others:
         best = max(others, key=lambda m: m.weight)
         best.weight = max(best.weight, lead.weight + behind(lead, aid, vouched=vouched, by_imu=best.doubts_imu))
+
+
+def overtake(members: list[Hypothesis], aid: Aid) -> None:
+    """After an outage T three fixes suffice where an error of the IMU explains them: what it has moved, it still moves.
+
+    T dv^T dp >= |dp|^2,   dp, dv: from the leading one. False fixes of one place do not move.
+    """
+    lead = members[0]
+    for member in members[1:]:
+        dark_s = (member.run_ns - lead.fused_ns) * 1e-9
+        if member.doubts_imu and member.fused_ns == aid.t_ns and member.run >= MORE and dark_s > RUN_ENDS_S:
+            off, moves = member.filter.x[X.P] - lead.filter.x[X.P], member.filter.x[X.V] - lead.filter.x[X.V]
+            if dark_s * float(moves @ off) >= float(off @ off):
+                member.weight = max(member.weight, lead.weight + MARGIN)
 
 
 def with_imu_right(lead: Hypothesis, t_ns: int) -> Hypothesis:

@@ -159,6 +159,8 @@ class Hypotheses:
         evidence = weighed(self.members, aid, seen, passed, vouched=vouched)
         born: list[Hypothesis] = []
         fused = self._answers(evidence, born)
+        if aid.absolute and not fused[0]:
+            follower.overtake(self.members, aid)
         if anew:
             follower.raise_alternative(self.members, aid, fused, vouched=vouched)
         at_fix = left_out.moved(self.members[0], aid, z, gyro_b, seen[0]) if may_be_misled and self.members[0].receiver else None
@@ -228,8 +230,8 @@ class Hypotheses:
         by_lead = gained.get(0, 0.0)
         if member.without == SENSORS:
             before = member.weight - gained[k] - (lead.weight - by_lead)
-            nearer = 0.5 * (e.seen[0].distance2 - e.seen[k].distance2)
-            member.weight = lead.weight + left_out.unaided(member, aid, before, gained[k] - by_lead, nearer)
+            weight = left_out.unaided(member, aid, before, gained[k] - by_lead, e.seen[0], e.seen[k])
+            member.weight = lead.weight + weight
             shows = member.weight > lead.weight + member.least + _LEAST_DOUBT
             member.benefit = _TINY if shows else 0.0  # it counts by its weight
         elif aid.absolute:

@@ -21,7 +21,7 @@ FORGET = 20.0  # ln: further behind the leading one than this, a hypothesis is d
 _SHOWS = 9.2  # ln 10,000: further behind, the covariance leaves it out; a gate refuses one in as many good readings
 _SETTLED_S = 20.0  # a hypothesis that has agreed with the leading one for so long goes
 RUN_ENDS_S = 5.0  # without a fix for so long, a run of consistent fixes ends
-_MORE = 3  # a run of fixes wins that is longer by so many of them
+MORE = 3  # a run of fixes wins that is longer by so many of them
 _LEAST_IMU_S = 3.75  # and lasts for so long at least, where a wrong IMU explains them: eight false ones at 2 Hz do not
 _LEAST_S = 4.5  # where nothing does
 _ENOUGH_S, _ENOUGH = 5.0, 11  # longer than both, it wins against any other one
@@ -168,6 +168,6 @@ class Hypothesis(msgspec.Struct, eq=False):
         run_s = (self.fused_ns - self.run_ns) * 1e-9
         period_s = min((t_ns - self.fused_ns) * 1e-9, run_s / (self.run - 1) if self.run > 1 else _PERIOD_S)
         if imu_may_be_wrong:
-            return max(_LEAST_IMU_S, (_MORE - 1) * period_s) - 0.1 * period_s
+            return max(_LEAST_IMU_S, (MORE - 1) * period_s) - 0.1 * period_s
         most_s = max(_ENOUGH_S, (_ENOUGH - 1) * period_s)
-        return min(max(_LEAST_S, run_s + _MORE * period_s), most_s) - 0.1 * period_s
+        return min(max(_LEAST_S, run_s + MORE * period_s), most_s) - 0.1 * period_s

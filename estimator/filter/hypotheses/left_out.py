@@ -15,6 +15,7 @@ from estimator.filter.hypotheses.hypothesis import RUN_ENDS_S, SENSORS, Doubt, H
 from estimator.filter.hypotheses.innovation import innovation
 from estimator.sources.base.aid import Aid
 from estimator.sources.base.faults import LONG_S, RECENT_S
+from estimator.sources.base.gating import gate
 from models.measurements import Measurement
 from models.messages import Array
 from models.state import E
@@ -56,16 +57,21 @@ def add_unaided(members: list[Hypothesis], aid: Aid) -> bool:
     return True
 
 
-def unaided(member: Hypothesis, aid: Aid, before: float, gained: float, nearer: float) -> float:
+def unaided(member: Hypothesis, aid: Aid, before: float, gained: float, by_lead: Innovation, seen: Innovation) -> float:
     """ln weight of the one without sensors, relative to the leading one, after a reading.
 
-    before: it; gained: ln N(nu; 0, S) - ln N(nu_0; 0, S_0); nearer: (nu_0^T S_0^-1 nu_0 - nu^T S^-1 nu) / 2. A receiver is one
-    witness against the sensors: it raises no weight above 0, nor by the smaller S that its lasting error leaves.
+    before: it; gained: ln N(nu; 0, S) - ln N(nu_0; 0, S_0). Where it needs no variance factor f, the leading one is not granted
+    any: f times the difference of the distances. A receiver is one witness against the sensors: it raises no weight above 0, nor
+    by the smaller S that its lasting error leaves.
     """
     if not member.is_established(aid.t_ns):
         return member.least
+    nearer, f = 0.5 * (by_lead.distance2 - seen.distance2), member.filter.variance_factor
+    is_of_receiver = bool(aid.geodetic or aid.receiver)
+    if not is_of_receiver and f * seen.distance2 <= gate(aid.rules.gate_probability, len(seen.nu)):
+        gained += (f - 1.0) * nearer
     gained = min(gained, -math.log(aid.rules.false_share))
-    if aid.geodetic or aid.receiver:
+    if is_of_receiver:
         gained = min(gained, nearer, max(-before, 0.0))
     return before + gained
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from estimator.filter.eskf import Eskf
-from estimator.filter.hypotheses import Doubt, Hypotheses, Hypothesis
+from estimator.filter.eskf import Eskf, Innovation
+from estimator.filter.hypotheses import Doubt, Hypotheses, Hypothesis, left_out
 from estimator.sources.base.aid import Aid
 from estimator.sources.gnss import GnssConfig, position_aid, velocity_aid
 from models.frames import Origin
@@ -327,3 +327,14 @@ def test_the_slow_error_of_a_receiver_is_no_new_evidence_at_every_measurement() 
         assert bank.judge(*_gnss((0.2, 0.1, 0.0)), np.zeros(3), trusted=True).fused
     assert bank.members[0] is lead
     assert bank.switches == 0
+
+
+@pytest.mark.parametrize(("distance2", "needs_none"), [(0.5, True), (5.0, False)])
+def test_the_one_without_sensors_gains_by_a_variance_factor_that_it_does_not_need(distance2: float, *, needs_none: bool) -> None:
+    """f = 9; squared distances of a position with it: 3 more from the leading one."""
+    member = _member((0.0, 0.0, 0.0), fused_ago_s=0.0)
+    member.run_ns, member.filter.variance_factor = EPOCH_NS - 60 * SECOND, 9.0
+    aid, eye = aid_of(pose_fix(EPOCH_NS)), np.eye(3)
+    lead, seen = (Innovation(np.ones(3), eye, eye, eye, eye, d2, 0.0) for d2 in (distance2 + 3.0, distance2))
+    weight = left_out.unaided(member, aid, -5.0, 0.5, lead, seen)
+    assert weight == pytest.approx(-5.0 + (-math.log(aid.rules.false_share) if needs_none else 0.5))
