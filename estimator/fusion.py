@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from itertools import chain
 from typing import Annotated, Final
 
 import msgspec
@@ -516,8 +517,8 @@ def _is_plausible(checkpoint: Checkpoint) -> bool:
 
 
 def _biases(x: Array, cov: Array) -> dict[str, float]:
-    known = np.array((x[X.BG.start :], np.sqrt(cov.diagonal()[E.BG.start :])))
-    return dict(zip(_BIASES, known.T.ravel().tolist(), strict=True))
+    known = zip(x.tolist()[X.BG.start :], np.sqrt(cov.diagonal()[E.BG.start :]).tolist(), strict=True)
+    return dict(zip(_BIASES, chain.from_iterable(known), strict=True))
 
 
 def _wind(lead: Eskf) -> dict[str, float]:

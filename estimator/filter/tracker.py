@@ -227,7 +227,7 @@ class Tracker:
     @property
     def remarks(self) -> list[str]:
         """Why a published estimate is less certain than configured."""
-        core = self.core
+        core, conflict = self.core, self._conflict()
         if self.alignment.shown is None:
             return []
         beside = self.alignment.without_sensor if core.is_aligned else None
@@ -235,8 +235,8 @@ class Tracker:
         undecided = two is not None and core.t_ns < self.alignment.wrong_until_ns.get(two[0], NEVER)
         return [
             *([remarks.two_headings(two)] if two is not None and undecided else ()),
-            *filter(None, (self._conflict(), remarks.heading(beside.topic) if beside is not None else "")),
-            *(remarks.apart(core.conflicts, self._undecided) if core.is_aligned and not self._conflict() else ()),
+            *filter(None, (conflict, remarks.heading(beside.topic) if beside is not None else "")),
+            *(remarks.apart(core.conflicts, self._undecided) if core.is_aligned and not conflict else ()),
             *remarks.turned(core.hypotheses),
             *remarks.frames(self.frames),
             *remarks.drifts(core.hypotheses),
