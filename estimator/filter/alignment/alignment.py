@@ -99,9 +99,7 @@ class Alignment:
     @property
     def bank(self) -> Hypotheses | None:
         """All filters, aligned or not."""
-        if self.core.hypotheses is not None or self.resting is None:  # nearly every call
-            return self.core.hypotheses
-        return self.resting.bank
+        return self.core.hypotheses or (self.resting.bank if self.resting is not None else None)
 
     @property
     def members(self) -> list[Hypothesis]:

@@ -4,11 +4,7 @@ from models.messages import Array
 from models.radius import chi_square
 
 USUAL, SURE = 0.96, 0.9999  # shares of good readings: beyond the first a median is unusual, beyond the second a reading
-
-
-def gate(probability: float, dof: int) -> float:
-    """Chi-square quantile of `dof` at `probability`."""
-    return chi_square(probability, dof)
+gate = chi_square  # of nu^T S^-1 nu
 
 
 def cusum(sums: tuple[float, ...], nu: Array, sigma: Array, slack: float) -> tuple[float, ...]:
