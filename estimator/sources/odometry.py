@@ -350,7 +350,7 @@ def jumped(kept: Kept, t_ns: int, pose: Array) -> tuple[float, Array | None]:
 def arrived(state: SourceState, rules: Rules, t_ns: int, *, alone: bool) -> SourceState:
     """An increment arrives; how many a refuted odometry has to agree with follows from how often they come."""
     spread_m, spacing_s = spread_at(state, t_ns), min((t_ns - state.last_ns) * 1e-9, rules.timeout_s)
-    return replace(state.arrive(replace(rules, spacing_s=spacing_s), t_ns, alone=alone), spread_m=spread_m, noise=state.noise)
+    return replace(state.arrive(replace(rules, spacing_s=spacing_s), t_ns, alone=alone), spread_m=spread_m)
 
 
 def may_be_scale(state: SourceState, *, alone: bool) -> bool:

@@ -63,21 +63,8 @@ class SourceState(msgspec.Struct, frozen=True):
         probation = max(rules.probation, again)
         if phase is Phase.STARTING and (passed >= probation or (alone and t_ns >= self.held_until_ns)):
             phase = Phase.ACTIVE
-        silent_ns = t_ns + round(rules.timeout_s * 1e9)
-        return SourceState(
-            phase,
-            t_ns,
-            silent_ns,
-            self.fused_ns,
-            passed,
-            self.held_until_ns,
-            sums,
-            failed_ns=self.failed_ns,
-            is_refuted=self.is_refuted,
-            refutations=self.refutations,
-            spoofed_ns=self.spoofed_ns,
-            false_share=rules.false_share,
-        )
+        until_ns, share = t_ns + round(rules.timeout_s * 1e9), rules.false_share
+        return replace(self, phase=phase, last_ns=t_ns, silent_ns=until_ns, passed=passed, sums=sums, false_share=share)
 
     def phase_at(self, t_ns: int) -> Phase:
         """Phase at t_ns without newer readings."""
