@@ -266,17 +266,13 @@ class History:
 
     def _propagate(self, to_ns: int) -> None:
         samples, tracker = self.samples, self.tracker
-        if tracker.core.t_ns >= to_ns:
-            return
-        if self._since_checkpoint >= _CHECKPOINT_SAMPLES:
-            self._checkpoint()
-        begin, end = samples.first_after(tracker.core.t_ns), samples.first_after(to_ns)
-        stops = [int(samples.t_ns[k]) for k in range(begin + _CHECKPOINT_SAMPLES, end - 1, _CHECKPOINT_SAMPLES)]
-        for stop in stops:
-            tracker.propagate(samples, stop)
-            self._checkpoint()
-        self._since_checkpoint += end - begin - _CHECKPOINT_SAMPLES * len(stops)
-        tracker.propagate(samples, to_ns)
+        while tracker.core.t_ns < to_ns:
+            if self._since_checkpoint >= _CHECKPOINT_SAMPLES:
+                self._checkpoint()
+            begin = samples.first_after(tracker.core.t_ns)
+            count = min(samples.first_after(to_ns) - begin, _CHECKPOINT_SAMPLES)
+            tracker.propagate(samples, to_ns if count < _CHECKPOINT_SAMPLES else int(samples.t_ns[begin + count - 1]))
+            self._since_checkpoint += count
 
     def _checkpoint(self) -> None:
         self._checkpoints.append(self.tracker.copy())
