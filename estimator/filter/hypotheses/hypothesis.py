@@ -59,7 +59,7 @@ class Past(NamedTuple):
 class Hypothesis(msgspec.Struct, eq=False):
     """One filter and the logarithm of its weight.
 
-    fused_ns: last fused position; run, run_ns: number fused without a long break, since when; parted_ns: last difference from the
+    fused_ns: last fused position; known_ns: the last of a run that was established; run, run_ns: number fused without a long break, since when; parted_ns: last difference from the
     leading one; doubts: false sources by topic; benefit: ln, added weight in the covariance; without: receiver left
     out for good; least: ln, lower bound of the weight; decided: topics rejected since a won conflict; receiver: last fused, and
     its ln(1 - trust); begun_at_fix: unconfirmed; refuted_ns: last refutation of such; agreed_ns: since when the omitted receiver
@@ -70,6 +70,7 @@ class Hypothesis(msgspec.Struct, eq=False):
     filter: Eskf
     weight: float = 0.0
     fused_ns: int = 0
+    known_ns: int = 0
     run: int = 0
     run_ns: int = 0
     parted_ns: int = 0
@@ -107,12 +108,18 @@ class Hypothesis(msgspec.Struct, eq=False):
             self.run, self.run_ns = 0, t_ns
         self.run += 1
         self.fused_ns = t_ns
+        if self.is_established(t_ns):
+            self.known_ns = t_ns
         if self.past and self.past.share(t_ns) < _LEAST_SHARE:
             self.past = None
 
     def is_established(self, t_ns: int) -> bool:
         """Its run of fixes is longer than a false one."""
         return (t_ns - self.run_ns) * 1e-9 >= _LEAST_IMU_S
+
+    def unproven_s(self, t_ns: int) -> float:
+        """Time since the last fix of an established run, or of any."""
+        return (t_ns - (self.known_ns or self.fused_ns)) * 1e-9
 
     def note_jump(self, from_n: Array, t_ns: int) -> None:
         """A fix that its last ones contradict has moved it from from_n (3,) [m]: more than two sigma and a wrong IMU explain."""

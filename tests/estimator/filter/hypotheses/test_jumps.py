@@ -83,3 +83,17 @@ def test_a_true_receiver_leads_again_where_fixes_never_agree() -> None:
     """Fixes that swing by 10 m contradict the IMU and one another: the receiver is not left out for them."""
     _, errors, _ = _flown(simulated(WITH_GNSS, seed=3), EPOCH_NS + 99 * SECOND, (10.0, 0.0, 0.0), swing_rad_s=0.3)
     assert errors[-250:].max() < 12.0
+
+
+def test_one_fix_after_an_outage_proves_no_imu() -> None:
+    """Nor do those of the first seconds; before any run the first fix does."""
+    one = _hypothesis(0.0)
+    one.run = 0
+    for k in range(13):  # 6 s at 2 Hz
+        one.note_fused(EPOCH_NS + k * SECOND // 2)
+        assert one.unproven_s(EPOCH_NS + k * SECOND // 2) == 0.0
+    for t_s in (16.0, 18.0):
+        one.note_fused(EPOCH_NS + round(t_s * SECOND))
+        assert one.unproven_s(EPOCH_NS + round(t_s * SECOND)) == pytest.approx(t_s - 6.0)
+    one.note_fused(EPOCH_NS + 20 * SECOND)
+    assert one.unproven_s(EPOCH_NS + 20 * SECOND) == 0.0
