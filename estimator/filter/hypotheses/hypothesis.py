@@ -59,12 +59,12 @@ class Past(NamedTuple):
 class Hypothesis(msgspec.Struct, eq=False):
     """One filter and the logarithm of its weight.
 
-    fused_ns: last fused position; known_ns: the last of a run that was established; run, run_ns: number fused without a long break, since when; parted_ns: last difference from the
-    leading one; doubts: false sources by topic; benefit: ln, added weight in the covariance; without: receiver left
-    out for good; least: ln, lower bound of the weight; decided: topics rejected since a won conflict; receiver: last fused, and
-    its ln(1 - trust); begun_at_fix: unconfirmed; refuted_ns: last refutation of such; agreed_ns: since when the omitted receiver
-    passes; right: constants of a right IMU, where it is taken for wrong; past: where an earlier run of fixes had it; turned: when
-    the attitude of a source was last taken for false.
+    fused_ns: last fused position; known_ns: the last of a run that was established; run, run_ns: number fused without a long
+    break, since when; parted_ns: last difference from the leading one; doubts: false sources by topic; benefit: ln, added
+    weight in the covariance; without: receiver left out for good; least: ln, lower bound of the weight; decided: topics
+    rejected since a won conflict; receiver: last fused, and its ln(1 - trust); begun_at_fix: unconfirmed; refuted_ns: last
+    refutation of such; agreed_ns: since when the omitted receiver passes; right: constants of a right IMU, where it is taken
+    for wrong; past: where an earlier run of fixes had it; turned: when the attitude of a source was last taken for false.
     """
 
     filter: Eskf
