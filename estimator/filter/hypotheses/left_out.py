@@ -60,20 +60,19 @@ def add_unaided(members: list[Hypothesis], aid: Aid) -> bool:
 def unaided(member: Hypothesis, aid: Aid, before: float, gained: float, by_lead: Innovation, seen: Innovation) -> float:
     """ln weight of the one without sensors, relative to the leading one, after a reading.
 
-    before: it; gained: ln N(nu; 0, S) - ln N(nu_0; 0, S_0). Where it needs no variance factor f, the leading one is not granted
-    any: f times the difference of the distances. A receiver is one witness against the sensors: it raises no weight above 0, nor
-    by the smaller S that its lasting error leaves.
+    before: it; gained: ln N(nu; 0, S) - ln N(nu_0; 0, S_0). The smaller S that a lasting error leaves is no evidence. Where it
+    needs no variance factor f, the leading one is not granted any: f times the difference of the distances. A receiver is one
+    witness against the sensors: it raises no weight above 0.
     """
     if not member.is_established(aid.t_ns):
         return member.least
     nearer, f = 0.5 * (by_lead.distance2 - seen.distance2), member.filter.variance_factor
-    is_of_receiver = bool(aid.geodetic or aid.receiver)
-    if not is_of_receiver and f * seen.distance2 <= gate(aid.rules.gate_probability, len(seen.nu)):
+    gained = min(gained, nearer)
+    if aid.geodetic or aid.receiver:
+        gained = min(gained, max(-before, 0.0))
+    elif f * seen.distance2 <= gate(aid.rules.gate_probability, len(seen.nu)):
         gained += (f - 1.0) * nearer
-    gained = min(gained, -math.log(aid.rules.false_share))
-    if is_of_receiver:
-        gained = min(gained, nearer, max(-before, 0.0))
-    return before + gained
+    return before + min(gained, -math.log(aid.rules.false_share))
 
 
 def moved(lead: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, seen: Innovation) -> Hypothesis:

@@ -31,7 +31,7 @@ _WINDOW, _RANK, _MIDDLE = 12, 3, 6
 _USELESS = 1e4
 _APART_S = 1.1  # readings further apart are not compared
 _GAIN, _LN_MEAN, _BOUND = 0.03, 0.73, 1.65  # a; E ln chi2_3; b: three sigmas of y
-_LEAST_LN, _MOST_LN = -6.0, 2.0  # of ln r - E ln chi2_3
+_LEAST_LN, _MOST_LN = -5.6, 2.0  # of ln r - E ln chi2_3
 
 
 class Reading(msgspec.Struct, frozen=True, eq=False):
