@@ -25,6 +25,7 @@ _LIKELY = 0.25  # share of the unknown motion within which an IMU that is wrong 
 _SEEN = 3.0  # ln: so far behind the leading one a new follower counts in the covariance
 _UNSEEN = 10.0  # ln: by so much less one counts there whose source is refused already
 _OTHER_BIASES = np.repeat((0.01, 0.1), 3)  # rad/s, m/s^2: by so much they may differ after a fault of the IMU
+_MOVES = 0.75  # share of the expected motion
 _HARDLY = 0.05  # of the largest singular value of H_p: what a fix measures less is no jump
 
 
@@ -98,16 +99,17 @@ def raise_alternative(members: list[Hypothesis], aid: Aid, fused: list[bool], *,
 
 
 def overtake(members: list[Hypothesis], aid: Aid) -> None:
-    """After a time T without a run of fixes three suffice where an error of the IMU explains them: it still moves.
+    """Soon after an outage three fixes suffice where an error of the IMU explains them: it still moves.
 
-    T dv^T dp >= |dp|^2,   dp, dv: from the leading one. False fixes of one place do not move.
+    dp = (1 - T / 2 U) T dv  of a constant acceleration since U, T: since the last fix, and since a run that lasted; dp, dv: from
+    the leading one. False fixes of one place do not move.
     """
     lead = members[0]
+    since_s, unproven_s = (aid.t_ns - lead.fused_ns) * 1e-9, lead.unproven_s(aid.t_ns)
     for member in members[1:]:
-        dark_s = lead.unproven_s(member.run_ns)
-        if member.doubts_imu and member.fused_ns == aid.t_ns and member.run >= MORE and dark_s > RUN_ENDS_S:
+        if member.doubts_imu and member.fused_ns == aid.t_ns and member.run >= MORE and unproven_s > RUN_ENDS_S:
             off, moves = member.filter.x[X.P] - lead.filter.x[X.P], member.filter.x[X.V] - lead.filter.x[X.V]
-            if dark_s * float(moves @ off) >= float(off @ off):
+            if since_s * (1.0 - 0.5 * since_s / unproven_s) * float(moves @ off) >= _MOVES * float(off @ off):
                 member.weight = max(member.weight, lead.weight + MARGIN)
 
 
