@@ -20,7 +20,7 @@ from models.state import E, X
 
 AGAIN_S = 0.4  # a fix that is refused again costs 1 / AGAIN_S a second, ln
 _RECEIVER_S = 0.8  # the same of a receiver alone, whose readings share their error: a barometer has its say
-_UNSEEN_S, _FORGOTTEN_S = 0.5, 5.0  # a wrong IMU has been so since the last fix of a run, within these limits
+_UNSEEN_S, _FORGOTTEN_S = 0.5, 5.0  # a wrong IMU has been so since the last fix, within these limits
 _LIKELY = 0.25  # share of the unknown motion within which an IMU that is wrong explains a fix
 _SEEN = 3.0  # ln: so far behind the leading one a new follower counts in the covariance
 _UNSEEN = 10.0  # ln: by so much less one counts there whose source is refused already
@@ -32,7 +32,7 @@ _HARDLY = 0.05  # of the largest singular value of H_p: what a fix measures less
 def begin(lead: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, limit: float, *, vouched: bool) -> Hypothesis | None:
     """A copy of the leading hypothesis that fuses the fix; weight: relative to it.
 
-    IMU wrong: P <- P + Q(dt) of an unknown motion since a run of fixes; from here on it coasts. Where that does not explain the
+    IMU wrong: P <- P + Q(dt) of an unknown motion since the last fix; from here on it coasts. Where that does not explain the
     fix: P_pp <- P_pp + o o^T, o the shortest with H_p o = nu, same motion; likewise the attitude, half a turn at most.
     """
     other = lead.copy()
@@ -40,7 +40,7 @@ def begin(lead: Hypothesis, aid: Aid, z: Measurement, gyro_b: Array, limit: floa
     other.adopt(lead.filter.constants if lead.right is None else lead.right, doubts_imu=True)
     eskf = other.filter
     eskf.forget_clones()  # a kept pose may be wrong, too
-    since_s = min(max(lead.unproven_s(aid.t_ns), _UNSEEN_S), _FORGOTTEN_S)
+    since_s = min(max((aid.t_ns - lead.fused_ns) * 1e-9, _UNSEEN_S), _FORGOTTEN_S)
     unknown = imu.unknown_motion(eskf.constants, since_s)
     eskf.cov[: E.SIZE, : E.SIZE] += _LIKELY * unknown
     seen = innovation(eskf, aid, z, gyro_b)
