@@ -230,12 +230,12 @@ class Tracker:
         core, conflict = self.core, self._conflict()
         if self.alignment.shown is None:
             return []
-        beside = self.alignment.without_sensor if core.is_aligned else None
+        other = self.alignment.without_sensor if core.is_aligned else None
         two = self.alignment.two_headings
         undecided = two is not None and core.t_ns < self.alignment.wrong_until_ns.get(two[0], NEVER)
         return [
             *([remarks.two_headings(two)] if two is not None and undecided else ()),
-            *filter(None, (conflict, remarks.heading(beside.topic) if beside is not None else "")),
+            *filter(None, (conflict, remarks.heading(other.topic) if other is not None else "")),
             *(remarks.apart(core.conflicts, self._undecided) if core.is_aligned and not conflict else ()),
             *remarks.turned(core.hypotheses),
             *remarks.frames(self.frames),

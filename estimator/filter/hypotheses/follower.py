@@ -25,7 +25,7 @@ _LIKELY = 0.25  # share of the unknown motion within which an IMU that is wrong 
 _SEEN = 3.0  # ln: so far behind the leading one a new follower counts in the covariance
 _UNSEEN = 10.0  # ln: by so much less one counts there whose source is refused already
 _OTHER_BIASES = np.repeat((0.01, 0.1), 3)  # rad/s, m/s^2: by so much they may differ after a fault of the IMU
-_MOVES = 0.75  # share of the expected motion
+_MOVES = 0.75  # share of the velocity that a displacement by the IMU makes expected
 _HARDLY = 0.05  # of the largest singular value of H_p: what a fix measures less is no jump
 
 
@@ -99,10 +99,12 @@ def raise_alternative(members: list[Hypothesis], aid: Aid, fused: list[bool], *,
 
 
 def overtake(members: list[Hypothesis], aid: Aid) -> None:
-    """Soon after an outage three fixes suffice where an error of the IMU explains them: it still moves.
+    """Soon after an outage the fourth fix leads where an error of the IMU explains the fixes: it still moves.
 
-    dp = (1 - T / 2 U) T dv  of a constant acceleration since U, T: since the last fix, and since a run that lasted; dp, dv: from
-    the leading one. False fixes of one place do not move.
+    dp = (1 - T / 2 U) T dv
+
+    by a constant false acceleration; dp [m], dv [m/s]: from the leading hypothesis; T [s]: since its last fix; U [s]: since its
+    last run that lasted. False fixes of one place do not move.
     """
     lead = members[0]
     since_s, unproven_s = (aid.t_ns - lead.fused_ns) * 1e-9, lead.unproven_s(aid.t_ns)

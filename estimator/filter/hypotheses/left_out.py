@@ -60,9 +60,11 @@ def add_unaided(members: list[Hypothesis], aid: Aid) -> bool:
 def unaided(member: Hypothesis, aid: Aid, before: float, gained: float, by_lead: Innovation, seen: Innovation) -> float:
     """ln weight of the one without sensors, relative to the leading one, after a reading.
 
-    before: it; gained: ln N(nu; 0, S) - ln N(nu_0; 0, S_0). The smaller S that a lasting error leaves is no evidence. Where it
-    needs no variance factor f, the leading one is not granted any: f times the difference of the distances. A receiver is one
-    witness against the sensors: it raises no weight above 0.
+        w <- w + min(ln N(nu; 0, S) - ln N(nu_0; 0, S_0), d) + (f - 1) d,     d = (nu_0^T S_0^-1 nu_0 - nu^T S^-1 nu) / 2
+
+    before: w; gained: the difference of ln N; nu_0, S_0: by_lead. d: the smaller S that a lasting error leaves is no evidence.
+    f: variance factor, counted where this one fits without it. A receiver is one witness against the sensors: it raises no
+    weight above 0.
     """
     if not member.is_established(aid.t_ns):
         return member.least

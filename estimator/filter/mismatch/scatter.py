@@ -1,7 +1,7 @@
 """How a source's readings scatter about one another: more than they report is noise, less is an error that lasts.
 
     d_k = nu_k - 2 nu_{k-1} + nu_{k-2},   r_k = d_k^T (R_k + 4 R_{k-1} + R_{k-2})^-1 d_k
-    R <- s R,   s = r_(6) / m_50 where r_(3) > chi2_0.96,   from where most nu_k^T S_k^-1 nu_k > chi2_0.9999 on
+    R <- s R,   s <- max(r_(6) / m_50 where r_(3) > chi2_0.96, s^exp(-dt / tau)),   once most nu_k^T S_k^-1 nu_k > chi2_0.9999
     y <- y + a (ln r_k - E ln chi2_3 - y),     rho = 2 - sqrt(1 + 3 min(b e^y, 1))
 
 by blocks of three components. r_(k): k-th smallest of the last twelve; m_50: median of chi-square. The error of the estimate
@@ -28,7 +28,8 @@ from models.messages import Array
 from models.state import XYZ
 
 _WINDOW, _RANK, _MIDDLE = 12, 3, 6
-_USELESS = 1e4
+_USELESS, _GONE = 1e4, 1.1  # s of a source that is no aid, and of one that is as it reports
+_FADES_S = 5.0  # tau
 _APART_S = 1.1  # readings further apart are not compared
 _GAIN, _LN_MEAN, _BOUND = 0.03, 0.73, 1.65  # a; E ln chi2_3; b: three sigmas of y
 _LEAST_LN, _MOST_LN = -5.6, 2.0  # of ln r - E ln chi2_3
@@ -82,18 +83,22 @@ class Scatter(msgspec.Struct, frozen=True, eq=False):
 
     def also(self, t_ns: int, seen: Innovation, reported: Array, *, fused: bool) -> "Scatter":
         """With one more innovation of a reading that reports R (m, m)."""
-        m, last, factors, ln = len(seen.nu), self.last[1 - _WINDOW :], self.factors, self.ln
-        if last and (m != len(last[-1].nu) or (t_ns - self.t_ns) * 1e-9 > _APART_S):
-            last, factors = (), ()
+        m, last, ln = len(seen.nu), self.last[1 - _WINDOW :], self.ln
+        seconds = (t_ns - self.t_ns) * 1e-9
+        factors = [factor ** math.exp(-seconds / _FADES_S) for factor in self.factors]
+        if last and m != len(last[-1].nu):
+            last, factors = (), []
+        elif seconds > _APART_S:
+            last = ()
         r = _bends(last[-2], last[-1], seen.nu, reported) if len(last) > 1 else ()
         last = (*last, Reading(seen.nu, reported, r, seen.distance2 > gate(SURE, m), fused))
         if m == 2 * XYZ and r:
             ln = tuple([y + _GAIN * (_ln(r_k) - y) for y, r_k in zip(ln or (0.0,) * len(r), r, strict=True)])
         if len(last) == _WINDOW and last[0].r and (factors or 2 * sum([one.far for one in last]) > _WINDOW):
-            factors = tuple([_factor([one.r[k] for one in last], min(XYZ, m - XYZ * k)) for k in range(len(r))])
-            factors = factors if max(factors) > 1.0 else ()
+            found = [_factor([one.r[k] for one in last], min(XYZ, m - XYZ * k)) for k in range(len(r))]
+            factors = [max(pair) for pair in zip(found, factors, strict=True)] if factors else found
         shares = tuple([max(2.0 - math.sqrt(1.0 + 3.0 * min(_BOUND * math.exp(y), 1.0)), 0.0) for y in ln])
-        return Scatter(t_ns, last, factors, ln, shares)
+        return Scatter(t_ns, last, tuple(factors) if max(factors, default=1.0) > _GONE else (), ln, shares)
 
 
 Scatters: TypeAlias = Mapping[str, Scatter]  # by topic of positions and velocities

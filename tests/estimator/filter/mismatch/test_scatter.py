@@ -54,14 +54,20 @@ def test_an_error_that_is_no_noise_widens_nothing(way: str) -> None:
     assert _after(nus).factor == 1.0
 
 
-def test_it_ends_with_the_noise() -> None:
-    assert _after(np.concatenate((_noise(30, 25.0), _noise(14, 1.0)))).factor == 1.0
+def test_it_fades_after_the_noise() -> None:
+    """The last noisy reading leaves the window after 7 s; then s^exp(-dt / 5 s)."""
+    after = [_after(np.concatenate((_noise(30, 25.0), _noise(k, 1.0)))).factor for k in (14, 24, 80)]
+    assert after[1] == pytest.approx(after[0] ** np.exp(-1.0))
+    assert after[2] == 1.0 < after[1]
 
 
 def test_readings_that_are_far_apart_in_time_are_not_compared() -> None:
     noisy = _after(_noise(30, 25.0))
     seen = Innovation(np.ones(6), np.eye(6), np.eye(6), np.eye(6), np.eye(6), 6.0, 0.0)
-    assert noisy.also(noisy.t_ns + 3 * SECOND, seen, np.eye(6), fused=False).factor == 1.0
+    after = noisy.also(noisy.t_ns + 3 * SECOND, seen, np.eye(6), fused=False)
+    assert len(after.last) == 1
+    assert after.factor == pytest.approx(noisy.factor ** np.exp(-3.0 / 5.0))
+    assert noisy.also(noisy.t_ns + 60 * SECOND, seen, np.eye(6), fused=False).factor == 1.0
 
 
 def test_fixes_that_become_noisy_for_good_are_weighed_by_their_noise() -> None:
