@@ -110,7 +110,7 @@ class Conflicts(msgspec.Struct, frozen=True, eq=False):
         last = self.newest.get(aid.topic)
         path = last.path if last is not None else Similarity()
         if is_receiver := aid.geodetic is not None:
-            path = path.also(complex(*position_n[:2].tolist()), complex(*z.z_n[:2].tolist()))
+            path = path.also(complex(*position_n[:2].tolist()), complex(*z.z_n[:2].tolist()), aid.t_ns * 1e-9)
         newest = {**self.newest, aid.topic: Offset(aid.t_ns, off, sum(s.diagonal().tolist()), is_receiver, path)}
         here = Conflicts(self.apart, self.contrary_ns, newest)
         if disagrees or (lingers and before):

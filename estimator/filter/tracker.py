@@ -69,6 +69,7 @@ _NO_RATE = np.zeros(3)
 _FOR_ALIGNED = "odometry is used once aligned"
 _NOT_YET = "used once the attitude is known: false axes would mislead the alignment"
 _REFUTED = 2  # positions in a row
+_BESIDE_NS = 1_200_000_000  # a receiver at 1 Hz is beside a fix
 
 
 class Tracker:
@@ -86,6 +87,7 @@ class Tracker:
         self.kept: dict[str, Kept] = {}  # poses that the filters keep, by topic of odometry
         self.anchor: GnssAnchor | None = None
         self.frames: dict[str, Frame] = {}  # of pose sources; never changed in place
+        self.receiver: tuple[str, int, Array] | None = None  # topic, time and position of the newest
         self.means: Means = {}  # of sources of fixes
         self.between: Array | None = None  # (3, 3) of the position, by what they differ by
         self.scores: Scores = {}  # of constants of the sources
@@ -111,7 +113,7 @@ class Tracker:
         other.core.receivers = core.receivers
         other.sources, other.place, other.anchor = self.sources.copy(), self.place, self.anchor
         other.alignment.given_up = self.alignment.given_up
-        other.frames, other.scatter = self.frames, self.scatter
+        other.frames, other.receiver, other.scatter = self.frames, self.receiver, self.scatter
         other.scores, other.bias_walk = self.scores, self.bias_walk
         return other
 
@@ -327,6 +329,8 @@ class Tracker:
             self._forget_estimated(aid, z)
             self.held_ns = {**self.held_ns, aid.topic: aid.t_ns}
             return Decision(Reason.HELD, detail=held.SAYS)
+        if aid.geodetic and isinstance(z, Position) and (self.receiver is None or self.receiver[0] == aid.topic):
+            self.receiver = aid.topic, aid.t_ns, z.z_n
         if why := self._in_other_frame(aid, z, samples):
             if self.sources.get(aid.topic, _UNKNOWN).fused_ns > NEVER:
                 self._leave(aid)
@@ -548,10 +552,15 @@ class Tracker:
 
     def _in_other_frame(self, aid: Aid, z: Measurement, samples: ImuBuffer) -> str:
         """What the fixes of the source give in place of north, east and down in metres; "" for nothing."""
-        if not (aid.absolute and isinstance(z, Pose) and z.attitude == "full" and len(z.rows) == 2 * XYZ):
+        if not (aid.absolute and isinstance(z, Pose)):
             return ""
-        known = self.frames.get(aid.topic)
-        now = Frame.of(aid.t_ns, z.z_n, z.q_nb_wxyz) if known is None else known.also(aid.t_ns, z.z_n, z.q_nb_wxyz, samples)
+        known, is_whole = self.frames.get(aid.topic), z.attitude == "full" and len(z.rows) == 2 * XYZ
+        now = Frame.of(aid.t_ns, z.z_n, z.q_nb_wxyz) if known is None else known
+        if is_whole and known is not None:
+            now = known.also(aid.t_ns, z.z_n, z.q_nb_wxyz, samples)
+        is_level = z.rows[: XYZ - 1].tolist() == [0, 1]
+        if is_level and self.receiver is not None and aid.t_ns - self.receiver[1] < _BESIDE_NS:
+            now = now.beside(aid.t_ns, z.z_n, self.receiver[2])
         if now is not known:
             self.frames = {**self.frames, aid.topic: now}
         return now.says or ""

@@ -1,4 +1,4 @@
-"""Axes and unit of fixes, by the accelerations that the IMU feels (docs/decision.md).
+"""Axes and unit of fixes, by the accelerations that the IMU feels; the unit by the path of a receiver (docs/decision.md).
 
     d = (p_2 - p_1) / h_2 - (p_1 - p_0) / h_1,     a = s_2 / h_2 - s_1 / h_1 + u_1,     d = k M a + c + e
 
@@ -21,6 +21,7 @@ from numba import njit
 
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.sources.base.faults import LONG_S
+from estimator.sources.base.similarity import Similarity, unit
 from models import imu, so3
 from models.frames import ENU_FROM_NED, FLU_FROM_FRD, GRAVITY_N
 from models.messages import Array
@@ -33,8 +34,6 @@ _LEFT = np.array([0.6, 0.35])[:, None, None]  # share of the power that the fram
 _TURN_LEFT = 0.35  # share of the rotation that the attitudes may
 _HEAVY_M_S = 3.0  # mean of a, downwards: the attitude is not that of gravity
 _NO_UNIT = 0.5, 2.0  # no unit is so near to a metre
-_UNITS = {100.0: "centimetres", 1000.0: "millimetres", 1 / 0.3048: "feet", 0.001: "kilometres"}
-_NEAR = 0.15  # ln: a scale that near a unit's is that unit
 _MAPS = np.array(
     [np.diag(s) @ np.eye(3)[list(p)] for p in ((0, 1, 2), (1, 0, 2)) for s in itertools.product((1.0, -1.0), repeat=3)]
 )
@@ -92,7 +91,10 @@ class Moments(msgspec.Struct, frozen=True, eq=False):
 
 
 class Frame(msgspec.Struct, frozen=True, eq=False):
-    """Of one source: its last fix, the way to it, the sums; says: what it gives instead, "" right, None not shown."""
+    """Of one source: its last fix, the way to it, the sums; says: what it gives instead, "" right, None not shown.
+
+    path: beside a receiver's, of the last minute.
+    """
 
     t_ns: int
     p_n: Array
@@ -100,6 +102,7 @@ class Frame(msgspec.Struct, frozen=True, eq=False):
     way: Array | None
     moments: Moments
     says: str | None = None
+    path: Similarity = Similarity()
 
     @classmethod
     def of(cls, t_ns: int, p_n: Array, q_nb_wxyz: Array) -> "Frame":
@@ -120,7 +123,16 @@ class Frame(msgspec.Struct, frozen=True, eq=False):
         moments = moments.also(self.way, way, turned)
         found = moments.verdict
         says = self.says if found is None else _words(*found)
-        return Frame(t_ns, p_n, q_nb_wxyz, way, moments, self.says if self.says and says else says)
+        return Frame(t_ns, p_n, q_nb_wxyz, way, moments, self.says if self.says and says else says, self.path)
+
+    def beside(self, t_ns: int, p_n: Array, g_n: Array) -> "Frame":
+        """With a fix at p_n while a receiver is at g_n, (3,) [m]."""
+        if self.says is not None:
+            return self
+        p, g, t_s = complex(*p_n[:2].tolist()), complex(*g_n[:2].tolist()), t_ns * 1e-9
+        path = (self.path if t_s - self.path.t < 0.5 * LONG_S else Similarity()).also(p, g, t_s)
+        says = f"against the receiver its positions are in {path.unit}, not in metres" if path.unit else None
+        return replace(self, path=path, says=says)
 
 
 def _words(attitude: int, m: Array, k: float) -> str:
@@ -128,8 +140,8 @@ def _words(attitude: int, m: Array, k: float) -> str:
     words = [f"positions are ({', '.join(axes)})"] if axes != ["north", "east", "down"] else []
     words += ["attitudes are in ENU and FLU"] if attitude else []
     if k != 1.0:
-        unit = next((f": {name}?" for ratio, name in _UNITS.items() if abs(math.log(k / ratio)) < _NEAR), "")
-        words.append(f"positions are {k:.3g} times the metres{unit}")
+        name = unit(k)
+        words.append(f"positions are {k:.3g} times the metres{f': {name}?' if name else ''}")
     return f"against the IMU its {', its '.join(words)}, not (north, east, down) in metres" if words else ""
 
 

@@ -177,14 +177,19 @@ def test_a_flight_with_fixes_in_other_axes_alone_ends_the_estimate_with_the_reas
 _TWO = "duration_s = 60.0\n[imu]\nrate_hz = 100.0\n[gnss]\nrate_hz = 5.0\n[pose_fix]\nrate_hz = 2.0\n"
 
 
-def test_a_receiver_leads() -> None:
+@pytest.mark.parametrize(("k", "unit"), [(100.0, "centimetres"), (1.0 / 0.3048, "feet"), (0.001, "kilometres")])
+@pytest.mark.parametrize("known", [6, 3], ids=["poses", "positions"])
+def test_a_receiver_leads(k: float, unit: str, known: int) -> None:
     flight = simulated(_TWO, seed=3)
-    scale = 100.0 * np.eye(3)
-    run = fly(flight, messages=[_moved(m, scale) if isinstance(m, PoseFix) else m for m in flight.messages])
+    scale, given = k * np.eye(3), np.diag([0.0] * known + [math.inf] * (6 - known))
+    messages = [
+        replace(_moved(m, scale), covariance=m.covariance + given) if isinstance(m, PoseFix) else m for m in flight.messages
+    ]
+    run = fly(flight, messages=messages)
     found = within(run.estimates, 5.0, 60.0)
     assert np.mean(position_errors(found, flight.truth) > 3.0 * radii(found)) < 0.01
     assert position_errors(within(run.estimates, 45.0, 60.0), flight.truth).max() < 5.0
-    assert "centimetres?" in run.health[-1].detail
+    assert unit in run.health[-1].detail
     assert math.isfinite(run.health[-1].radius95_m)
     assert run.internal_errors() == []
 

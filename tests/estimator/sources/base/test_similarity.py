@@ -1,4 +1,4 @@
-"""Turn and scale of a path are found; one that drifts, stands still, is moved, or is noise has none."""
+"""Turn, scale and unit of a path are found; one that drifts, stands still, is moved, or is noise has none."""
 
 import cmath
 import math
@@ -23,8 +23,8 @@ def _path(seed: int) -> list[complex]:
 
 def _fitted(path: list[complex], other: list[complex], noise_m: float = 0.5) -> Similarity:
     rng, found = np.random.default_rng(0), Similarity()
-    for p, g in zip(path, other, strict=True):
-        found = found.also(p, g + noise_m * complex(*rng.standard_normal(2)))
+    for k, (p, g) in enumerate(zip(path, other, strict=True)):
+        found = found.also(p, g + noise_m * complex(*rng.standard_normal(2)), 0.2 * k)
     return found
 
 
@@ -50,7 +50,9 @@ def test_what_is_no_turn_is_not_found(seed: int) -> None:
         "within the noise": [p * cmath.exp(0.01j) for p in path],
     }
     for name, other in others.items():
-        assert not _fitted(path, other).is_turned, name
+        found = _fitted(path, other)
+        assert not found.is_turned, name
+        assert not found.unit, name
     assert not _fitted(path, path, noise_m=25.0).is_turned
 
 
@@ -60,12 +62,35 @@ def test_on_a_straight_way_of_constant_speed_a_drift_may_be_a_turn_and_one_that_
     assert not _fitted(path, [p + 0.5j * max(k - 150, 0) for k, p in enumerate(path)]).is_turned
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("k", "name"), [(3.28, "feet"), (100.0, "centimetres"), (1000.0, "millimetres"), (0.001, "kilometres")])
+@pytest.mark.parametrize("turn", [1.0, _TURN])
+def test_a_unit_is_named_and_the_difference_is_a_scale(seed: int, k: float, name: str, turn: complex) -> None:
+    path = _path(seed)
+    found = _fitted([k * turn * p for p in path], path)
+    assert found.unit == name
+    assert found.is_turned
+
+
+@pytest.mark.parametrize("a", [0.4, 0.5, 0.7, 1.0, 1.4, 2.5])
+def test_a_scale_that_is_no_unit_names_none(a: float) -> None:
+    path = _path(2)
+    assert not _fitted(path, [a * p for p in path]).unit
+
+
+def test_on_a_straight_way_of_constant_speed_a_receiver_that_is_pulled_back_may_be_a_unit() -> None:
+    path = [2.0 * 0.2 * k + 0j for k in range(300)]
+    pulled = _fitted(path, [0.3048 * p for p in path])
+    assert not pulled.unit
+    assert pulled.is_turned
+
+
 def test_the_sums_are_those_of_least_squares() -> None:
     path, rng = np.array(_path(1)), np.random.default_rng(3)
     other = 1.05 * _TURN * path + rng.standard_normal(len(path)) + 1j * rng.standard_normal(len(path))
     found = Similarity()
-    for p, g in zip(path.tolist(), other.tolist(), strict=True):
-        found = found.also(p, g)
+    for k, (p, g) in enumerate(zip(path.tolist(), other.tolist(), strict=True)):
+        found = found.also(p, g, 0.2 * k)
     (a, _), left, *_ = np.linalg.lstsq(np.stack((path, np.ones(len(path))), axis=1), other, rcond=None)
     assert found.a == pytest.approx(a, rel=1e-9)
     assert found.gg - abs(found.gp) ** 2 / found.pp == pytest.approx(float(left[0]), rel=1e-9)
