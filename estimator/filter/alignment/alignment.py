@@ -18,7 +18,7 @@ from estimator.filter.alignment.initialise import Level
 from estimator.filter.conflict import Conflicts
 from estimator.filter.contradiction import NO_CONTRADICTION
 from estimator.filter.eskf import Innovation
-from estimator.filter.hypotheses import Hypotheses, Hypothesis
+from estimator.filter.hypotheses import Hypotheses, Hypothesis, innovation
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.filter.relinearise import Stretch
 from estimator.filter.variance_factor import LARGEST, LARGEST_AT_FIRST
@@ -210,7 +210,10 @@ class Alignment:
         core = self.core
         assert core.hypotheses is not None
         core.hypotheses.scale(core.variance_factor.value)
-        seen = initialise.weigh(core.hypotheses, aid, z, gyro_b)
+        if waits := self._contradicts_start(aid):  # what the stretch leaves out is not fused
+            seen = innovation(core.hypotheses.lead, aid, z, gyro_b)
+        else:
+            seen = initialise.weigh(core.hypotheses, aid, z, gyro_b)
         limit = gate(aid.rules.gate_probability, len(seen.nu))
         foreseen, follows = seen.distance2 * core.variance_factor.value <= limit, False
         if aid.absolute:
@@ -228,7 +231,7 @@ class Alignment:
         if core.hypotheses is None:
             return
         before_it = core.stretch
-        if core.stretch is not None and not self._contradicts_start(aid):
+        if core.stretch is not None and not waits and not self._contradicts_start(aid):
             core.stretch = core.stretch.also(aid, z, gyro_b, follows=follows)
         known = self._is_proven() and self._is_known()
         if known:

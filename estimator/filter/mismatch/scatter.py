@@ -4,10 +4,10 @@
     R <- s R,   s <- max(r_(6) / m_50 where r_(3) > chi2_0.96, s^exp(-dt / tau)),   once most nu_k^T S_k^-1 nu_k > chi2_0.9999
     y <- y + a (ln r_k - E ln chi2_3 - y),     rho = 2 - sqrt(1 + 3 min(b e^y, 1))
 
-by blocks of three components. r_(k): k-th smallest of the last twelve; m_50: median of chi-square. The error of the estimate
-changes slowly, and cancels; an outlier makes three large. A Gauss-Markov error of correlation rho from reading to reading has
-E r = 3 - 4 rho + rho^2: a share rho of a pose's R becomes a considered error. b covers the uncertainty of y. (By the correlation
-of innovations: Mehra 1970)
+by blocks of three components. r_(k): k-th smallest of the last twelve; four usual ones in a row end it; m_50: median of
+chi-square. The error of the estimate changes slowly, and cancels; an outlier makes three large. A Gauss-Markov error of
+correlation rho from reading to reading has E r = 3 - 4 rho + rho^2: a share rho of R becomes a considered error. b covers the
+uncertainty of y. (By the correlation of innovations: Mehra 1970)
 """
 
 import math
@@ -28,6 +28,7 @@ from models.messages import Array
 from models.state import XYZ
 
 _WINDOW, _RANK, _MIDDLE = 12, 3, 6
+_CALM = 4
 _USELESS, _GONE = 1e4, 1.1  # s of a source that is no aid, and of one that is as it reports
 _FADES_S = 5.0  # tau
 _APART_S = 1.1  # readings further apart are not compared
@@ -94,6 +95,9 @@ class Scatter(msgspec.Struct, frozen=True, eq=False):
         last = (*last, Reading(seen.nu, reported, r, seen.distance2 > gate(SURE, m), fused))
         if m == 2 * XYZ and r:
             ln = tuple([y + _GAIN * (_ln(r_k) - y) for y, r_k in zip(ln or (0.0,) * len(r), r, strict=True)])
+        calm = last[-_CALM:]
+        if factors and all(one.r and _usual(one.r, m) for one in calm):
+            last, factors = calm, []
         if len(last) == _WINDOW and last[0].r and (factors or 2 * sum([one.far for one in last]) > _WINDOW):
             found = [_factor([one.r[k] for one in last], min(XYZ, m - XYZ * k)) for k in range(len(r))]
             factors = [max(pair) for pair in zip(found, factors, strict=True)] if factors else found
@@ -131,6 +135,10 @@ def _bend(a: Array, b: Array, c: Array, r_a: Array, r_b: Array, r_c: Array, k: i
         for j in range(n):
             r[i, j] = r_a[k + i, k + j] + 4.0 * r_b[k + i, k + j] + r_c[k + i, k + j]
     return mahalanobis(d, r)[0]
+
+
+def _usual(r: tuple[float, ...], m: int) -> bool:
+    return all(r_k <= gate(USUAL, min(XYZ, m - XYZ * k)) for k, r_k in enumerate(r))
 
 
 def _factor(r: list[float], dof: int) -> float:

@@ -54,11 +54,21 @@ def test_an_error_that_is_no_noise_widens_nothing(way: str) -> None:
     assert _after(nus).factor == 1.0
 
 
-def test_it_fades_after_the_noise() -> None:
-    """The last noisy reading leaves the window after 7 s; then s^exp(-dt / 5 s)."""
-    after = [_after(np.concatenate((_noise(30, 25.0), _noise(k, 1.0)))).factor for k in (14, 24, 80)]
-    assert after[1] == pytest.approx(after[0] ** np.exp(-1.0))
-    assert after[2] == 1.0 < after[1]
+@pytest.mark.parametrize(("readings", "ends"), [(4, False), (8, True), (40, True)])
+def test_four_usual_second_differences_end_it(readings: int, *, ends: bool) -> None:
+    factor = _after(np.concatenate((_noise(30, 25.0), _noise(readings, 1.0)))).factor
+    assert (factor == 1.0) == ends
+
+
+def test_noise_that_goes_on_does_not_end() -> None:
+    assert min(_after(_noise(k, 10.0)).factor for k in range(20, 200, 3)) > 10.0
+
+
+def test_it_fades_in_a_gap() -> None:
+    noisy = _after(_noise(30, 25.0))
+    seen = Innovation(np.zeros(6), np.eye(6), np.eye(6), np.eye(6), np.eye(6), 0.0, 0.0)
+    later = noisy.also(noisy.t_ns + 5 * SECOND, seen, SIGMA**2 * np.eye(6), fused=False)
+    assert later.factor == pytest.approx(noisy.factor ** np.exp(-1.0))
 
 
 def test_readings_that_are_far_apart_in_time_are_not_compared() -> None:
