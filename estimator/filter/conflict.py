@@ -94,12 +94,13 @@ class Offset(msgspec.Struct, frozen=True, eq=False):
 class Conflicts(msgspec.Struct, frozen=True, eq=False):
     """apart: sources in lasting disagreement, by topic; newest: positions of all.
 
-    contrary_ns: last rejected velocity of a receiver, by the topic of its positions.
+    contrary_ns: last rejected velocity of a receiver, by the topic of its positions; moved_ns: since when this hypothesis leads.
     """
 
     apart: Mapping[str, Apart] = {}
     contrary_ns: Mapping[str, int] = {}
     newest: Mapping[str, Offset] = {}
+    moved_ns: int = -(2**62)
 
     def compared(self, aid: Aid, z: Measurement, position_n: Array, *, disagrees: bool, lingers: bool = False) -> "Conflicts":
         """After a reading, estimate at position_n (3,) [m]; lingers: until the source is near."""
@@ -112,13 +113,15 @@ class Conflicts(msgspec.Struct, frozen=True, eq=False):
         if is_receiver := aid.geodetic is not None:
             path = path.also(complex(*position_n[:2].tolist()), complex(*z.z_n[:2].tolist()), aid.t_ns * 1e-9)
         newest = {**self.newest, aid.topic: Offset(aid.t_ns, off, sum(s.diagonal().tolist()), is_receiver, path)}
-        here = Conflicts(self.apart, self.contrary_ns, newest)
+        here = replace(self, newest=newest)
         if disagrees or (lingers and before):
             s = s + sum(error.covariance for error in aid.slow_errors if len(error.covariance) == XYZ)
             is_steady = before is not None and np.linalg.norm(off - before.off) < _STEADY * np.linalg.norm(off)
             now = Apart(aid.t_ns, aid.t_ns, off, s, 0, False)
             if before is not None:
                 now = replace(now, since_ns=before.since_ns, steady=before.steady + 1 if is_steady else 0, jumped=before.jumped)
+            elif last is not None and last.t_ns <= self.moved_ns:  # it was near the former estimate: no outlier, and no jump
+                now = replace(now, since_ns=aid.t_ns - _LASTS_NS)
             elif last is not None and aid.t_ns - last.t_ns < RECENT_NS:
                 now = replace(now, jumped=now.distance2 > _JUMPS)
             if disagrees or not now.is_near:

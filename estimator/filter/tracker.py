@@ -430,6 +430,7 @@ class Tracker:
         trusted = trusted and known.is_aid
         proven = core.variance_factor.is_proven
         vouched = aid.absolute and self._vouched(aid)
+        switches = bank.switches
         verdict = bank.judge(aid, z, gyro_b, trusted=trusted, vouched=vouched, proven=proven)
         seen, used, lead = verdict.seen, verdict.used, bank.members[0]
         if is_place and isinstance(reported, Pose | Position | Velocity):
@@ -445,6 +446,8 @@ class Tracker:
             self._note_biases(aid, used)
         if is_place:
             self.failed = {**self.failed, aid.topic: 0 if verdict.passed else self.failed.get(aid.topic, 0) + 1}
+        if bank.switches != switches:
+            core.conflicts = replace(core.conflicts, moved_ns=aid.t_ns)
         core.conflicts = core.conflicts.judged(aid, z, lead.filter.x[X.P], is_rejected=aid.topic in lead.rejected)
         apart = core.conflicts.apart.get(aid.witness)
         may_be_late = apart is None or delay.explains(apart.off, apart.s, lead.filter.x)

@@ -94,6 +94,16 @@ def test_a_receiver_that_fixes_refuse_counts_once_it_lasts() -> None:
     assert lasting.added({})[0, 0] > 1.0
 
 
+def test_a_source_that_was_near_the_former_estimate_is_no_outlier_and_has_not_jumped() -> None:
+    near = Conflicts().judged(*_gnss(0.0, 0.1), HERE, is_rejected=False)
+    other = replace(near, moved_ns=EPOCH_NS + SECOND // 10).judged(*_gnss(0.2, 20.0), HERE, is_rejected=True)
+    assert other.apart["/gnss"].lasts
+    assert not other.apart["/gnss"].jumped
+    jumps = near.judged(*_gnss(0.2, 20.0), HERE, is_rejected=True)
+    assert not jumps.apart["/gnss"].lasts
+    assert jumps.apart["/gnss"].jumped
+
+
 def _places(*of: tuple[str, float], seconds: float = 5.0, every_s: float = 0.5, before: Conflicts | None = None) -> Conflicts:
     """Sources so far north of the estimate; those further than 2 m are rejected."""
     found = before or Conflicts()
