@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from estimator.filter.mismatch.speed_step import SpeedStep
 from models.frames import Origin
-from models.messages import GnssFix, GnssVelocity, Input, PoseFix, ReceiverState, Vec3
+from models.messages import GnssFix, GnssVelocity, ImuSample, Input, PoseFix, ReceiverState, Vec3
 from models.sim.scenario import EPOCH_NS, Simulation
 from models.state import X
 from tests.estimator.scenes import config_of, fly, position_errors, radii, simulated, within
@@ -53,6 +53,21 @@ def test_a_speed_that_the_imu_contradicts_is_covered_before_it_is_followed(state
     off = position_errors(late, simulation.truth)
     assert off[-1] > 0.8 * STEP_M_S * (END_S - FROM_S)  # nothing but the IMU contradicts it
     assert (off < radii(late)).all()
+    assert "the speed of /gnss stepped by" in run.health[-1].detail
+
+
+@pytest.mark.parametrize("impact_s", [FROM_S - 0.9, FROM_S + 5.0], ids=["before it", "while it lasts"])
+def test_an_impact_hides_no_step_and_ends_none(impact_s: float) -> None:
+    def struck(m: Input) -> Input:
+        if not isinstance(m, ImuSample) or not 0.0 <= (m.t_ns - EPOCH_NS) * 1e-9 - impact_s < 0.02:
+            return m
+        x, y, z = m.accel_b
+        return replace(m, accel_b=(x, y + 35.0, z))
+
+    simulation = simulated(GNSS_ALONE, seed=2)
+    run = fly(simulation, messages=[struck(m) for m in _pulled(simulation, ReceiverState.UNKNOWN)])
+    late = within(run.aligned, FROM_S, END_S, every=5)
+    assert (position_errors(late, simulation.truth) < 1.5 * radii(late)).all()
     assert "the speed of /gnss stepped by" in run.health[-1].detail
 
 

@@ -5,7 +5,7 @@
 
 f: the state moved by the IMU; sigma: what the readings claim, or how they usually step; t: since the first step, or the last fix
 of another source. Steps back to less than 0.8 m/s, a speed 2 s later that fits the state before, or such a fix while the receiver
-agrees end it. It counts once the estimate follows: a reading is fused.
+agrees end it. It counts once the estimate follows: a reading is fused. Across an impact nothing is compared.
 """
 
 import math
@@ -107,7 +107,7 @@ def noted(
 ) -> Steps:
     """With a velocity that the leading hypothesis has judged; scatter: factor of its noise, much of which is no speed."""
     before = steps.get(aid.witness)
-    if scatter > _NOISY or (before is not None and _shaken(samples, before.t_ns)):
+    if scatter > _NOISY:
         return {topic: step for topic, step in steps.items() if topic != aid.witness}
     variance = z.noise.diagonal()
     since_s = (aid.t_ns - before.t_ns) * 1e-9 if before is not None else math.inf
@@ -117,7 +117,7 @@ def noted(
     nu = z.evaluate(x, gyro_b)[0]
     if before is None:
         return {**steps, aid.witness: SpeedStep(aid.t_ns, x, nu, variance, fused)}
-    if since_s < _LONGEST_S and not lead.doubts_imu:
+    if since_s < _LONGEST_S and not lead.doubts_imu and not _shaken(samples, before.t_ns):
         moved = _moved(before.t_ns, before.x, aid.t_ns, samples, lead)
         before = before.after(aid.t_ns, z.evaluate(moved, gyro_b)[0], moved, variance)
         if before.before is not None and aid.t_ns - before.before[0] >= _CONFIRMED_NS:
