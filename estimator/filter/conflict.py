@@ -146,14 +146,14 @@ class Conflicts(msgspec.Struct, frozen=True, eq=False):
         is_contrary = is_rejected or (contrary_ns is not None and aid.t_ns - contrary_ns < _LASTS_NS)
         return self.compared(aid, z, position_n, disagrees=is_contrary, lingers=is_receiver)
 
-    def shares(self, *, doubts_imu: bool) -> dict[str, float]:
-        """n / (n + m) of the sources against which nothing decides, by topic."""
+    def shares(self, *, doubts_imu: bool, turned: bool = False) -> dict[str, float]:
+        """n / (n + m) of the sources against which nothing decides, by topic; turned: the paths of fixes against a receiver's."""
         found = dict[str, float]()
         for topic, apart in self.apart.items():
             nearer, by = self._votes(topic, apart, 1.0)
             n, m = 1 + nearer + doubts_imu, len(by) + apart.jumped
             is_outweighed = self.newest[topic].is_receiver and not (by and all(self.newest[t].is_receiver for t in by))
-            is_outweighed &= not self.newest[topic].path.is_turned
+            is_outweighed &= not (turned or self.newest[topic].path.is_turned)
             is_alone = n == 1 and (is_outweighed or not apart.agrees)
             if n >= m and not is_alone:
                 found[topic] = n / (n + m)

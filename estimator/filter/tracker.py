@@ -170,7 +170,8 @@ class Tracker:
         core, bank = self.core, self.alignment.bank
         if not core.is_aligned or bank is None:
             return dict.fromkeys(core.conflicts.apart, 1.0)
-        return core.conflicts.shares(doubts_imu=bank.members[0].doubts_imu)
+        turned = any(frame.path.is_turned for frame in self.frames.values())
+        return core.conflicts.shares(doubts_imu=bank.members[0].doubts_imu, turned=turned)
 
     @property
     def step_covariance(self) -> Array | None:

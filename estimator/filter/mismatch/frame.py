@@ -127,12 +127,11 @@ class Frame(msgspec.Struct, frozen=True, eq=False):
 
     def beside(self, t_ns: int, p_n: Array, g_n: Array) -> "Frame":
         """With a fix at p_n while a receiver is at g_n, (3,) [m]."""
-        if self.says is not None:
-            return self
         p, g, t_s = complex(*p_n[:2].tolist()), complex(*g_n[:2].tolist()), t_ns * 1e-9
         path = (self.path if t_s - self.path.t < 0.5 * LONG_S else Similarity()).also(p, g, t_s)
-        says = f"against the receiver its positions are in {path.unit}, not in metres" if path.unit else None
-        return replace(self, path=path, says=says)
+        if self.says is not None or not path.unit:
+            return replace(self, path=path)
+        return replace(self, path=path, says=f"against the receiver its positions are in {path.unit}, not in metres")
 
 
 def _words(attitude: int, m: Array, k: float) -> str:

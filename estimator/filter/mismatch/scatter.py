@@ -95,9 +95,8 @@ class Scatter(msgspec.Struct, frozen=True, eq=False):
         last = (*last, Reading(seen.nu, reported, r, seen.distance2 > gate(SURE, m), fused))
         if m == 2 * XYZ and r:
             ln = tuple([y + _GAIN * (_ln(r_k) - y) for y, r_k in zip(ln or (0.0,) * len(r), r, strict=True)])
-        calm = last[-_CALM:]
-        if factors and all(one.r and _usual(one.r, m) for one in calm):
-            last, factors = calm, []
+        if factors and all(one.r and _usual(one.r, m) for one in last[-_CALM:]):
+            factors = []
         if len(last) == _WINDOW and last[0].r and (factors or 2 * sum([one.far for one in last]) > _WINDOW):
             found = [_factor([one.r[k] for one in last], min(XYZ, m - XYZ * k)) for k in range(len(r))]
             factors = [max(pair) for pair in zip(found, factors, strict=True)] if factors else found

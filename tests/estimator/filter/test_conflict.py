@@ -94,6 +94,12 @@ def test_a_receiver_that_fixes_refuse_counts_once_it_lasts() -> None:
     assert lasting.added({})[0, 0] > 1.0
 
 
+def test_a_receiver_is_not_outweighed_by_fixes_of_whose_path_its_own_is_turned() -> None:
+    found = _places(("/a", 0.0), ("/gnss", 50.0))
+    assert found.shares(doubts_imu=False) == {}
+    assert found.shares(doubts_imu=False, turned=True) == {"/gnss": 1 / 2}
+
+
 def test_a_source_that_was_near_the_former_estimate_is_no_outlier_and_has_not_jumped() -> None:
     near = Conflicts().judged(*_gnss(0.0, 0.1), HERE, is_rejected=False)
     other = replace(near, moved_ns=EPOCH_NS + SECOND // 10).judged(*_gnss(0.2, 20.0), HERE, is_rejected=True)

@@ -217,3 +217,24 @@ def test_a_receiver_that_was_lost_long_ago_keeps_nothing() -> None:
     ]
     run = fly(flight, messages=messages)
     assert not within(run.estimates, 50.0, 60.0)
+
+
+def _beside(k: float, seconds: range, before: Frame | None = None) -> Frame:
+    """Fixes each second on a circle of 20 m, in a unit of which a metre has k, beside a receiver."""
+    frame = before
+    for t_s in seconds:
+        t_ns, p_n = EPOCH_NS + t_s * SECOND, np.array([20.0 * math.cos(0.3 * t_s), 20.0 * math.sin(0.3 * t_s), -5.0])
+        frame = (frame or Frame.of(t_ns, k * p_n, np.array([1.0, 0.0, 0.0, 0.0]))).beside(t_ns, k * p_n, p_n)
+    assert frame is not None
+    return frame
+
+
+def test_a_unit_that_changes_in_flight_is_named_within_a_minute() -> None:
+    sound = _beside(1.0, range(200))
+    assert sound.says is None
+    assert "feet" in (_beside(1.0 / 0.3048, range(200, 260), sound).says or "")
+
+
+def test_what_the_imu_has_shown_stays() -> None:
+    right = replace(_beside(1.0, range(5)), says="")
+    assert _beside(100.0, range(5, 60), right).says == ""
