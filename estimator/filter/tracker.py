@@ -113,7 +113,7 @@ class Tracker:
         other.core.receivers = core.receivers
         other.sources, other.place, other.anchor = self.sources.copy(), self.place, self.anchor
         other.alignment.given_up = self.alignment.given_up
-        other.frames, other.receiver, other.scatter = self.frames, self.receiver, self.scatter
+        other.frames, other.scatter = self.frames, self.scatter
         other.scores, other.bias_walk = self.scores, self.bias_walk
         return other
 

@@ -238,3 +238,18 @@ def test_a_unit_that_changes_in_flight_is_named_within_a_minute() -> None:
 def test_what_the_imu_has_shown_stays() -> None:
     right = replace(_beside(1.0, range(5)), says="")
     assert _beside(100.0, range(5, 60), right).says == ""
+
+
+def test_fixes_are_compared_with_one_receiver_and_with_its_position_of_the_last_second() -> None:
+    """One that ends after 15 s, beside another 500 m off: 29 fixes of 2 Hz until then and two after it."""
+    flight, found = simulated(_TWO, seed=3), list[Input]()
+    for m in flight.messages:
+        if not isinstance(m, GnssFix):
+            found.append(m)
+        elif m.t_ns < EPOCH_NS + 15 * SECOND:
+            later = {"t_ns": m.t_ns + SECOND // 10, "arrived_ns": m.arrived_ns + SECOND // 10}
+            found += [m, replace(m, topic=OTHER, lat_deg=m.lat_deg + 0.005, **later)]
+    found.sort(key=lambda m: m.arrived_ns)
+    path = fly(flight, messages=found).fusion._history.tracker.frames["/pose_fix"].path
+    assert 28 <= path.n <= 34
+    assert path.gg < 100.0 * path.n  # m^2: no jump of 500 m
