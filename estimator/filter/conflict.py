@@ -120,10 +120,11 @@ class Conflicts(msgspec.Struct, frozen=True, eq=False):
             now = Apart(aid.t_ns, aid.t_ns, off, s, 0, False)
             if before is not None:
                 now = replace(now, since_ns=before.since_ns, steady=before.steady + 1 if is_steady else 0, jumped=before.jumped)
-            elif last is not None and last.t_ns <= self.moved_ns:  # it was near the former estimate: no outlier, and no jump
-                now = replace(now, since_ns=aid.t_ns - _LASTS_NS)
             elif last is not None and aid.t_ns - last.t_ns < RECENT_NS:
-                now = replace(now, jumped=now.distance2 > _JUMPS)
+                if last.t_ns <= self.moved_ns:  # it was near the former estimate: no outlier, and no jump
+                    now = replace(now, since_ns=aid.t_ns - _LASTS_NS)
+                else:
+                    now = replace(now, jumped=now.distance2 > _JUMPS)
             if disagrees or not now.is_near:
                 return replace(here, apart={**self.apart, aid.topic: now})
         return here._agrees(aid.topic)

@@ -69,7 +69,7 @@ _NO_RATE = np.zeros(3)
 _FOR_ALIGNED = "odometry is used once aligned"
 _NOT_YET = "used once the attitude is known: false axes would mislead the alignment"
 _REFUTED = 2  # positions in a row
-_BESIDE_NS = 1_200_000_000  # a receiver at 1 Hz is beside a fix
+_CURRENT_NS = 1_200_000_000  # a position of a receiver at 1 Hz is compared with a fix
 
 
 class Tracker:
@@ -170,7 +170,7 @@ class Tracker:
         core, bank = self.core, self.alignment.bank
         if not core.is_aligned or bank is None:
             return dict.fromkeys(core.conflicts.apart, 1.0)
-        turned = any(frame.path.is_turned for frame in self.frames.values())
+        turned = any(frame.is_turned(core.t_ns) for frame in self.frames.values())
         return core.conflicts.shares(doubts_imu=bank.members[0].doubts_imu, turned=turned)
 
     @property
@@ -330,8 +330,8 @@ class Tracker:
             self._forget_estimated(aid, z)
             self.held_ns = {**self.held_ns, aid.topic: aid.t_ns}
             return Decision(Reason.HELD, detail=held.SAYS)
-        if aid.geodetic and isinstance(z, Position) and (self.receiver is None or self.receiver[0] == aid.topic):
-            self.receiver = aid.topic, aid.t_ns, z.z_n
+        if aid.geodetic and isinstance(z, Position):
+            self._note_receiver(aid, z)
         if why := self._in_other_frame(aid, z, samples):
             if self.sources.get(aid.topic, _UNKNOWN).fused_ns > NEVER:
                 self._leave(aid)
@@ -372,6 +372,7 @@ class Tracker:
                 self._forget_estimated(aid, z)
             if core.hypotheses is not hypotheses or hypotheses.switches != switches:
                 core.stretch = None  # another filter leads, with another past, or none
+                core.conflicts = replace(core.conflicts, moved_ns=aid.t_ns)
             elif core.stretch is not None and decision.reason is Reason.FUSED:
                 longer = core.stretch.also(aid, z, gyro_b)
                 if longer is not core.stretch:  # a run ends at the newest measurement that is in it, which has to be this one
@@ -431,7 +432,6 @@ class Tracker:
         trusted = trusted and known.is_aid
         proven = core.variance_factor.is_proven
         vouched = aid.absolute and self._vouched(aid)
-        switches = bank.switches
         verdict = bank.judge(aid, z, gyro_b, trusted=trusted, vouched=vouched, proven=proven)
         seen, used, lead = verdict.seen, verdict.used, bank.members[0]
         if is_place and isinstance(reported, Pose | Position | Velocity):
@@ -447,8 +447,6 @@ class Tracker:
             self._note_biases(aid, used)
         if is_place:
             self.failed = {**self.failed, aid.topic: 0 if verdict.passed else self.failed.get(aid.topic, 0) + 1}
-        if bank.switches != switches:
-            core.conflicts = replace(core.conflicts, moved_ns=aid.t_ns)
         core.conflicts = core.conflicts.judged(aid, z, lead.filter.x[X.P], is_rejected=aid.topic in lead.rejected)
         apart = core.conflicts.apart.get(aid.witness)
         may_be_late = apart is None or delay.explains(apart.off, apart.s, lead.filter.x)
@@ -554,6 +552,11 @@ class Tracker:
         others = self.core.absolute - {aid.topic, aid.witness} - without
         return not any((aid.t_ns - self.sources.get(topic, _UNKNOWN).fused_ns) * 1e-9 < aid.rules.timeout_s for topic in others)
 
+    def _note_receiver(self, aid: Aid, z: Position) -> None:
+        """The receiver with which fixes are compared: the first, another one where it is silent."""
+        if self.receiver is None or self.receiver[0] == aid.topic or aid.t_ns - self.receiver[1] > RECENT_NS:
+            self.receiver = aid.topic, aid.t_ns, z.z_n
+
     def _in_other_frame(self, aid: Aid, z: Measurement, samples: ImuBuffer) -> str:
         """What the fixes of the source give in place of north, east and down in metres; "" for nothing."""
         if not (aid.absolute and isinstance(z, Pose)):
@@ -563,8 +566,8 @@ class Tracker:
         if is_whole and known is not None:
             now = known.also(aid.t_ns, z.z_n, z.q_nb_wxyz, samples)
         is_level = z.rows[: XYZ - 1].tolist() == [0, 1]
-        if is_level and self.receiver is not None and aid.t_ns - self.receiver[1] < _BESIDE_NS:
-            now = now.beside(aid.t_ns, z.z_n, self.receiver[2])
+        if is_level and self.receiver is not None and aid.t_ns - self.receiver[1] < _CURRENT_NS:
+            now = now.compared(aid.t_ns, z.z_n, self.receiver[2])
         if now is not known:
             self.frames = {**self.frames, aid.topic: now}
         return now.says or ""

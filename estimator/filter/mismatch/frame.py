@@ -21,7 +21,7 @@ from numba import njit
 
 from estimator.filter.imu_buffer import ImuBuffer
 from estimator.sources.base.faults import LONG_S
-from estimator.sources.base.similarity import Similarity, unit
+from estimator.sources.base.similarity import Similarity, unit_of
 from models import imu, so3
 from models.frames import ENU_FROM_NED, FLU_FROM_FRD, GRAVITY_N
 from models.messages import Array
@@ -93,7 +93,7 @@ class Moments(msgspec.Struct, frozen=True, eq=False):
 class Frame(msgspec.Struct, frozen=True, eq=False):
     """Of one source: its last fix, the way to it, the sums; says: what it gives instead, "" right, None not shown.
 
-    path: beside a receiver's, of the last minute.
+    path: against that of a receiver, in the last minute.
     """
 
     t_ns: int
@@ -125,7 +125,7 @@ class Frame(msgspec.Struct, frozen=True, eq=False):
         says = self.says if found is None else _words(*found)
         return Frame(t_ns, p_n, q_nb_wxyz, way, moments, self.says if self.says and says else says, self.path)
 
-    def beside(self, t_ns: int, p_n: Array, g_n: Array) -> "Frame":
+    def compared(self, t_ns: int, p_n: Array, g_n: Array) -> "Frame":
         """With a fix at p_n while a receiver is at g_n, (3,) [m]."""
         p, g, t_s = complex(*p_n[:2].tolist()), complex(*g_n[:2].tolist()), t_ns * 1e-9
         path = (self.path if t_s - self.path.t < 0.5 * LONG_S else Similarity()).also(p, g, t_s)
@@ -133,13 +133,17 @@ class Frame(msgspec.Struct, frozen=True, eq=False):
             return replace(self, path=path)
         return replace(self, path=path, says=f"against the receiver its positions are in {path.unit}, not in metres")
 
+    def is_turned(self, t_ns: int) -> bool:
+        """Whether a receiver's path in the last minute is that of these fixes, which are used, turned or scaled."""
+        return not self.says and t_ns * 1e-9 - self.path.t < LONG_S and self.path.is_turned
+
 
 def _words(attitude: int, m: Array, k: float) -> str:
     axes = [_NAMES[a][int(m[row, a] < 0.0)] for row, a in enumerate(np.abs(m).argmax(axis=1))]
     words = [f"positions are ({', '.join(axes)})"] if axes != ["north", "east", "down"] else []
     words += ["attitudes are in ENU and FLU"] if attitude else []
     if k != 1.0:
-        name = unit(k)
+        name = unit_of(k)
         words.append(f"positions are {k:.3g} times the metres{f': {name}?' if name else ''}")
     return f"against the IMU its {', its '.join(words)}, not (north, east, down) in metres" if words else ""
 

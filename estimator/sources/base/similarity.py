@@ -1,11 +1,12 @@
 """Whether a path is another one turned and scaled, in the plane (Umeyama 1991, eqs. 40 to 43).
 
     g_k = a p_k + b + e_k,     a, b complex with the least sum |e|^2:     a = sum g' conj(p') / sum |p'|^2
-    turned where sum |e|^2 < 0.05 sum |d'|^2,     d = g - p
+    turned where      sum |e|^2 < 0.05 sum |d'|^2,     sum |e|^2 < 0.35 sum |g'|^2,     d = g - p
+    in a unit where   sum |e|^2 < 0.35 sum |g'|^2,     |sum t' p'|^2 < 0.9 sum t'^2 sum |p'|^2,     |ln |a| k| < 0.15
 
-p', g', d': from their means; sum |e|^2 < 0.35 sum |g'|^2, or g stands still. A receiver that is misled turns no map: where a turn
-and a scale explain the difference, the map may be what is wrong. On a straight way of constant speed a drift looks the same; on
-any other, where 1 / |a| is a unit in metres, p is in that unit.
+p', g', d', t': from their means; k: of a unit, of which a metre has k. A receiver that is misled turns no map: where a turn and a
+scale explain the difference, the map may be what is wrong, or the unit of p. A receiver that stands still shows neither. On a
+straight way of constant speed a drift looks like a scale.
 """
 
 import math
@@ -19,7 +20,7 @@ _UNITS = {100.0: "centimetres", 1000.0: "millimetres", 1 / 0.3048: "feet", 0.001
 _NEAR = 0.15  # ln: a scale that near a unit's is that unit
 
 
-def unit(k: float) -> str:
+def unit_of(k: float) -> str:
     """The unit of which a metre has k; "" for none."""
     return next((name for ratio, name in _UNITS.items() if abs(math.log(k / ratio)) < _NEAR), "")
 
@@ -61,7 +62,7 @@ class Similarity(msgspec.Struct, frozen=True, eq=False):
         """The unit of p, which is not metres, by the path; "": not shown."""
         if not self._left < _STANDS * self.gg or abs(self.tp) ** 2 > _STRAIGHT * self.tt * self.pp:
             return ""
-        return unit(1.0 / abs(self.a))
+        return unit_of(1.0 / abs(self.a))
 
     @property
     def _left(self) -> float:

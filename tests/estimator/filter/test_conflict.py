@@ -108,6 +108,8 @@ def test_a_source_that_was_near_the_former_estimate_is_no_outlier_and_has_not_ju
     jumps = near.judged(*_gnss(0.2, 20.0), HERE, is_rejected=True)
     assert not jumps.apart["/gnss"].lasts
     assert jumps.apart["/gnss"].jumped
+    returns = replace(near, moved_ns=EPOCH_NS + SECOND // 10).judged(*_gnss(60.0, 20.0), HERE, is_rejected=True)
+    assert not returns.apart["/gnss"].lasts  # it may be an outlier
 
 
 def _places(*of: tuple[str, float], seconds: float = 5.0, every_s: float = 0.5, before: Conflicts | None = None) -> Conflicts:

@@ -59,17 +59,7 @@ def test_the_alignment_ends_and_the_covariance_covers_what_is_false(false: str, 
     assert radius[-1] < 2.0
 
 
-FAST = """
-duration_s = 15.0
-[vehicle]
-kind = "{kind}"
-[imu]
-rate_hz = 100.0
-[gnss]
-rate_hz = 5.0
-[pose_fix]
-rate_hz = 2.0
-"""
+FAST = 'duration_s = 15.0\n[vehicle]\nkind = "{kind}"\n[imu]\nrate_hz = 100.0\n[gnss]\nrate_hz = 5.0\n[pose_fix]\nrate_hz = 2.0\n'
 
 
 @pytest.mark.parametrize(("kind", "seed"), [("fixed_wing", 3), ("fixed_wing", 11), ("multirotor", 10), ("multirotor", 21)])

@@ -219,29 +219,48 @@ def test_a_receiver_that_was_lost_long_ago_keeps_nothing() -> None:
     assert not within(run.estimates, 50.0, 60.0)
 
 
-def _beside(k: float, seconds: range, before: Frame | None = None) -> Frame:
-    """Fixes each second on a circle of 20 m, in a unit of which a metre has k, beside a receiver."""
+def _compared(k: float, seconds: range, before: Frame | None = None) -> Frame:
+    """Fixes each second on a circle of 20 m, in a unit of which a metre has k, compared with a receiver."""
     frame = before
     for t_s in seconds:
         t_ns, p_n = EPOCH_NS + t_s * SECOND, np.array([20.0 * math.cos(0.3 * t_s), 20.0 * math.sin(0.3 * t_s), -5.0])
-        frame = (frame or Frame.of(t_ns, k * p_n, np.array([1.0, 0.0, 0.0, 0.0]))).beside(t_ns, k * p_n, p_n)
+        frame = (frame or Frame.of(t_ns, k * p_n, np.array([1.0, 0.0, 0.0, 0.0]))).compared(t_ns, k * p_n, p_n)
     assert frame is not None
     return frame
 
 
 def test_a_unit_that_changes_in_flight_is_named_within_a_minute() -> None:
-    sound = _beside(1.0, range(200))
+    sound = _compared(1.0, range(200))
     assert sound.says is None
-    assert "feet" in (_beside(1.0 / 0.3048, range(200, 260), sound).says or "")
+    assert "feet" in (_compared(1.0 / 0.3048, range(200, 260), sound).says or "")
+
+
+def test_a_path_is_turned_for_a_minute_while_its_fixes_are_used() -> None:
+    """30 fixes 1.5 times as far apart as the receiver's positions, which is no unit."""
+    scaled = _compared(1.5, range(30))
+    assert scaled.says is None
+    assert scaled.is_turned(EPOCH_NS + 30 * SECOND)
+    assert not scaled.is_turned(EPOCH_NS + 90 * SECOND)
+    assert not replace(scaled, says="in another frame").is_turned(EPOCH_NS + 30 * SECOND)
+    assert not _compared(1.0, range(30)).is_turned(EPOCH_NS + 30 * SECOND)
+
+
+def test_another_receiver_takes_over_where_the_first_is_silent() -> None:
+    flight, found = simulated(_TWO, seed=3), list[Input]()
+    for m in flight.messages:
+        is_other = isinstance(m, GnssFix) and m.t_ns > EPOCH_NS + 5 * SECOND
+        found.append(replace(m, topic=OTHER) if is_other and isinstance(m, GnssFix) else m)
+    path = fly(flight, messages=found).fusion._history.tracker.frames["/pose_fix"].path
+    assert EPOCH_NS * 1e-9 + 30.0 < path.t < EPOCH_NS * 1e-9 + 60.0
 
 
 def test_what_the_imu_has_shown_stays() -> None:
-    right = replace(_beside(1.0, range(5)), says="")
-    assert _beside(100.0, range(5, 60), right).says == ""
+    right = replace(_compared(1.0, range(5)), says="")
+    assert _compared(100.0, range(5, 60), right).says == ""
 
 
 def test_fixes_are_compared_with_one_receiver_and_with_its_position_of_the_last_second() -> None:
-    """One that ends after 15 s, beside another 500 m off: 29 fixes of 2 Hz until then and two after it."""
+    """It ends after 15 s, another one is 500 m off: 29 fixes of 2 Hz until then and two after it."""
     flight, found = simulated(_TWO, seed=3), list[Input]()
     for m in flight.messages:
         if not isinstance(m, GnssFix):
